@@ -1,0 +1,71 @@
+"""One way to say what was expected and what came."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+class CloudFileError(ValueError):
+    """A file that cannot be read as a point cloud; the message names the file and what is wrong with it."""
+
+
+def expect(condition: bool, name: str, expected: str, received: object) -> None:
+    """Raise ``ValueError`` with the argument's name, what was expected and what came, unless ``condition``."""
+    if not condition:
+        raise ValueError(f"{name}: expected {expected}, got {describe(received)}")
+
+
+def describe(value: object) -> str:
+    """The shape, dtype and device of a tensor, the ``repr`` of anything else (shortened)."""
+    if isinstance(value, Tensor):
+        return f"{tuple(value.shape)} {str(value.dtype).removeprefix('torch.')} on {value.device}"
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def expect_shape(value: Tensor, name: str, shape: tuple[int | str, ...]) -> None:
+    """Check the type and shape of a tensor; a string in ``shape`` names a free dimension."""
+    expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+    if not isinstance(value, Tensor):
+        raise ValueError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
+    fits = value.ndim == len(shape) and all(
+        isinstance(want, str) or want == have for want, have in zip(shape, value.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{name}: expected {expected}, got {tuple(value.shape)}")
+
+
+def expect_floating(value: Tensor, name: str) -> None:
+    """Check that a tensor holds real floating-point numbers."""
+    expect(value.is_floating_point(), name, "a floating-point tensor", value)
+
+
+def expect_dtype(value: Tensor, name: str, dtype: torch.dtype) -> None:
+    """Check the dtype of a tensor."""
+    expect(value.dtype == dtype, name, str(dtype).removeprefix("torch."), value)
+
+
+def expect_device(value: Tensor, name: str, device: torch.device) -> None:
+    """Check that a tensor lies on ``device``."""
+    expect(value.device == device, name, f"a tensor on {device}", value)
+
+
+def positive(value: float, name: str) -> float:
+    """Return ``value`` if it is a finite number above zero, else raise ``ValueError``."""
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    expect(number and 0 < value < float("inf"), name, "a finite number above 0", value)
+    return float(value)
+
+
+def at_least(value: int, name: str, least: int) -> int:
+    """Return ``value`` if it is an integer of at least ``least``, else raise ``ValueError``."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    expect(whole and value >= least, name, f"an integer of at least {least}", value)
+    return value
+
+
+def one_of(value: str, name: str, choices: tuple[str, ...]) -> str:
+    """Return ``value`` if it is among ``choices``, else raise ``ValueError``."""
+    expect(value in choices, name, "one of " + ", ".join(map(repr, choices)), value)
+    return value

@@ -1,0 +1,180 @@
+"""A packed batch of point clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_device, expect_floating, expect_shape
+from torchreg.types.packing import checked_offsets, offsets_of, spans
+
+
+@dataclass(frozen=True, eq=False)
+class Clouds:
+    """``B`` point clouds, packed: the rows of all clouds one after another. One cloud is a batch of one.
+
+    Attributes:
+        points: (P, 3) floating point, meters, relative to the origin of their cloud.
+        offsets: (B+1,) int64, on the CPU; cloud ``b`` holds the rows ``offsets[b]:offsets[b+1]``.
+            ``None`` at construction makes one cloud of all rows.
+        colors: (P, 3) sRGB in [0, 1], or ``None``.
+        normals: (P, 3) of unit length, or ``None``.
+        origin: (B, 3) float64, meters: where the points' zero lies in the frame of the file. It is kept
+            apart so that coordinates of UTM size lose nothing in float32; transforms include it.
+            ``None`` at construction means zeros.
+        viewpoint: (B, 3) scanner position in the frame of ``points`` (relative to ``origin``), or ``None``
+            where it is not known. A row of NaN marks one cloud of a batch whose scanner is not known.
+
+    Raises:
+        ValueError: a tensor has another shape, dtype or device than stated here.
+    """
+
+    points: Tensor
+    offsets: Tensor = None  # type: ignore[assignment]  # filled in below: one cloud of all rows
+    colors: Tensor | None = None
+    normals: Tensor | None = None
+    origin: Tensor = None  # type: ignore[assignment]  # filled in below: zeros
+    viewpoint: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        expect_shape(self.points, "points", ("P", 3))
+        expect_floating(self.points, "points")
+        rows, device = self.points.shape[0], self.points.device
+        offsets = torch.tensor([0, rows]) if self.offsets is None else self.offsets
+        object.__setattr__(self, "offsets", checked_offsets(offsets, rows))
+        for name, value in (("colors", self.colors), ("normals", self.normals)):
+            if value is not None:
+                expect_shape(value, name, (rows, 3))
+                expect(value.dtype == self.points.dtype, name, f"the dtype of points, {self.points.dtype}", value)
+                expect_device(value, name, device)
+        if self.origin is None:
+            object.__setattr__(self, "origin", torch.zeros(len(self), 3, dtype=torch.float64, device=device))
+        expect_shape(self.origin, "origin", (len(self), 3))
+        expect(self.origin.dtype == torch.float64, "origin", "float64", self.origin)
+        expect_device(self.origin, "origin", device)
+        if self.viewpoint is not None:
+            expect_shape(self.viewpoint, "viewpoint", (len(self), 3))
+            expect_floating(self.viewpoint, "viewpoint")
+            expect_device(self.viewpoint, "viewpoint", device)
+
+    def __len__(self) -> int:
+        """The number of clouds, B."""
+        return len(self.offsets) - 1
+
+    @property
+    def lengths(self) -> list[int]:
+        """The number of points of every cloud."""
+        return [end - begin for begin, end in spans(self.offsets)]
+
+    @property
+    def device(self) -> torch.device:
+        """Where the points are."""
+        return self.points.device
+
+    @staticmethod
+    def pack(clouds: Sequence[Clouds]) -> Clouds:
+        """Join batches of clouds into one; usable as the ``collate_fn`` of a ``DataLoader``.
+
+        Colors and normals must be there for all clouds or for none. A cloud without a viewpoint gets NaN
+        when others have one.
+
+        Raises:
+            ValueError: nothing to pack, or some clouds have colors (normals) and others have none.
+        """
+        clouds = list(clouds)
+        expect(len(clouds) > 0, "clouds", "at least one cloud", clouds)
+        viewpoint = None
+        if any(cloud.viewpoint is not None for cloud in clouds):
+            viewpoint = torch.cat([_viewpoint_or_nan(cloud) for cloud in clouds])
+        return Clouds(
+            points=torch.cat([cloud.points for cloud in clouds]),
+            offsets=offsets_of(length for cloud in clouds for length in cloud.lengths),
+            colors=_cat_all_or_none("colors", [cloud.colors for cloud in clouds]),
+            normals=_cat_all_or_none("normals", [cloud.normals for cloud in clouds]),
+            origin=torch.cat([cloud.origin for cloud in clouds]),
+            viewpoint=viewpoint,
+        )
+
+    def unpack(self) -> list[Clouds]:
+        """The clouds as batches of one; their tensors are views."""
+        return [
+            Clouds(
+                points=self.points[begin:end],
+                colors=None if self.colors is None else self.colors[begin:end],
+                normals=None if self.normals is None else self.normals[begin:end],
+                origin=self.origin[b : b + 1],
+                viewpoint=None if self.viewpoint is None else self.viewpoint[b : b + 1],
+            )
+            for b, (begin, end) in enumerate(spans(self.offsets))
+        ]
+
+    def select(self, which: int | Sequence[int]) -> Clouds:
+        """The batch of these clouds, in this order; a cloud may be named several times.
+
+        Raises:
+            IndexError: a number outside [-B, B).
+        """
+        single = self.unpack()
+        chosen = [single[which]] if isinstance(which, int) else [single[b] for b in which]
+        return chosen[0] if len(chosen) == 1 else Clouds.pack(chosen)
+
+    def rows(self, index: Tensor, offsets: Tensor) -> Clouds:
+        """The clouds made of the rows ``index`` (Q,) of this batch, split by ``offsets`` (B+1,)."""
+        return replace(
+            self,
+            points=self.points[index],
+            offsets=offsets,
+            colors=None if self.colors is None else self.colors[index],
+            normals=None if self.normals is None else self.normals[index],
+        )
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Clouds:
+        """Copy to a device or change the dtype of points, colors, normals and viewpoint (``origin`` stays float64)."""
+
+        def move(value: Tensor | None) -> Any:
+            return None if value is None else value.to(device=device, dtype=dtype)
+
+        return Clouds(
+            points=move(self.points),
+            offsets=self.offsets,
+            colors=move(self.colors),
+            normals=move(self.normals),
+            origin=self.origin.to(device=device),
+            viewpoint=move(self.viewpoint),
+        )
+
+    def pin_memory(self) -> Clouds:
+        """Copy into page-locked memory, for faster and asynchronous transfer to a GPU."""
+
+        def pin(value: Tensor | None) -> Any:
+            return None if value is None else value.pin_memory()
+
+        return Clouds(
+            points=pin(self.points),
+            offsets=self.offsets,
+            colors=pin(self.colors),
+            normals=pin(self.normals),
+            origin=pin(self.origin),
+            viewpoint=pin(self.viewpoint),
+        )
+
+
+def _viewpoint_or_nan(cloud: Clouds) -> Tensor:
+    if cloud.viewpoint is not None:
+        return cloud.viewpoint
+    return cloud.points.new_full((len(cloud), 3), float("nan"))
+
+
+def _cat_all_or_none(name: str, parts: list[Tensor | None]) -> Tensor | None:
+    present = [part for part in parts if part is not None]
+    expect(
+        len(present) in (0, len(parts)),
+        name,
+        f"{name} for all {len(parts)} clouds or for none",
+        f"{len(present)} with and {len(parts) - len(present)} without",
+    )
+    return torch.cat(present) if present else None

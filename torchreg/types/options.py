@@ -1,0 +1,99 @@
+"""What the stages can be told: plain frozen structs, every length in meters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from torchreg.errors import at_least, expect, one_of, positive
+
+EQUALIZATIONS = ("none", "cloud", "joint")
+COLOR_BLOCKS = ("pcfh", "contrast")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RansacOptions:
+    """How hypotheses are drawn, tested and accepted. The defaults are the paper's (section 4.1).
+
+    Attributes:
+        hypotheses: how many minimal samples are drawn at most.
+        confidence: drawing stops once a better sample would have been drawn with this probability;
+            1.0 draws all of them.
+        edge_similarity: in [0, 1]; a sample stays when each edge's length in the one cloud is at least
+            this fraction of its length in the other.
+        inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier.
+        sample_size: correspondences in a minimal sample, at least 3.
+        local_optimization: rounds of refitting to the inliers of the best hypotheses; 0 keeps the minimal
+            solution.
+    """
+
+    hypotheses: int = 600_000
+    confidence: float = 0.999
+    edge_similarity: float = 0.9
+    inlier_threshold: float = 0.2
+    sample_size: int = 3
+    local_optimization: int = 10
+
+    def __post_init__(self) -> None:
+        at_least(self.hypotheses, "hypotheses", 1)
+        expect(0 < self.confidence <= 1, "confidence", "a number in (0, 1]", self.confidence)
+        expect(0 <= self.edge_similarity <= 1, "edge_similarity", "a number in [0, 1]", self.edge_similarity)
+        positive(self.inlier_threshold, "inlier_threshold")
+        at_least(self.sample_size, "sample_size", 3)
+        at_least(self.local_optimization, "local_optimization", 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegistrationOptions:
+    """Everything that ``register`` uses. The defaults are the paper's (section 4.1), for scans of buildings.
+
+    Attributes:
+        voxel_size: meters; the clouds are averaged over cubes of this edge first; ``None`` takes them as
+            they are.
+        normal_radius: meters, the support of a normal.
+        normal_max_neighbors: nearest points within it, the point itself counted.
+        feature_radius: meters, the support radius of FPFH.
+        feature_max_neighbors: nearest points within it, the point itself counted.
+        color: the color block beside FPFH: ``"pcfh"`` (the paper's hue differences), ``"contrast"``
+            (spread of every color channel at two radii), or ``None`` for geometry alone.
+        color_radius: meters, the support radius of the color block (of its wider half for ``"contrast"``).
+        color_bins: bins of every PCFH histogram.
+        color_channels: which of hue, saturation and value PCFH compares.
+        equalization: histogram equalization of hue: ``"none"``, per ``"cloud"``, or ``"joint"`` over the pair.
+        saturation_weighting: PCFH votes count by the saturation of both points, so that gray has no say.
+        color_weight: weight of the color block beside the FPFH block, both of unit length before it.
+        ratio: a match stays when its distance is below this fraction of the second nearest's; ``None``
+            leaves the test out.
+        ransac: how hypotheses are drawn and accepted.
+    """
+
+    voxel_size: float | None = None
+    normal_radius: float = 2.0
+    normal_max_neighbors: int = 30
+    feature_radius: float = 5.0
+    feature_max_neighbors: int = 100
+    color: str | None = "pcfh"
+    color_radius: float = 2.0
+    color_bins: int = 11
+    color_channels: tuple[str, ...] = ("hue",)
+    equalization: str = "cloud"
+    saturation_weighting: bool = False
+    color_weight: float = 1.0
+    ratio: float | None = None
+    ransac: RansacOptions = field(default_factory=RansacOptions)
+
+    def __post_init__(self) -> None:
+        if self.voxel_size is not None:
+            positive(self.voxel_size, "voxel_size")
+        for name in ("normal_radius", "feature_radius", "color_radius", "color_weight"):
+            positive(getattr(self, name), name)
+        at_least(self.normal_max_neighbors, "normal_max_neighbors", 3)
+        at_least(self.feature_max_neighbors, "feature_max_neighbors", 3)
+        at_least(self.color_bins, "color_bins", 1)
+        if self.color is not None:
+            one_of(self.color, "color", COLOR_BLOCKS)
+        one_of(self.equalization, "equalization", EQUALIZATIONS)
+        for channel in self.color_channels:
+            one_of(channel, "color_channels", ("hue", "saturation", "value"))
+        expect(len(self.color_channels) > 0, "color_channels", "at least one channel", self.color_channels)
+        if self.ratio is not None:
+            expect(0 < self.ratio <= 1, "ratio", "a number in (0, 1]", self.ratio)

@@ -1,0 +1,41 @@
+"""Offsets of a packed batch: rows of all items one after another, item ``b`` in ``offsets[b]:offsets[b+1]``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import accumulate
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_dtype, expect_shape
+
+
+def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor:
+    """Return ``offsets`` on the CPU after checking that they are int64, start at 0, ascend and end at ``rows``.
+
+    Offsets steer Python loops over clouds, so they live on the CPU whatever the device of the rows.
+    """
+    expect_shape(offsets, name, ("B+1",))
+    expect_dtype(offsets, name, torch.int64)
+    offsets = offsets.cpu()
+    listed = offsets.tolist()
+    ascending = all(low <= high for low, high in zip(listed, listed[1:], strict=False))
+    expect(
+        len(listed) >= 1 and listed[0] == 0 and listed[-1] == rows and ascending,
+        name,
+        f"ascending numbers from 0 to {rows}",
+        listed,
+    )
+    return offsets
+
+
+def offsets_of(lengths: Iterable[int]) -> Tensor:
+    """Offsets (B+1,) int64 of items of these lengths."""
+    return torch.tensor([0, *accumulate(lengths)], dtype=torch.int64)
+
+
+def spans(offsets: Tensor) -> list[tuple[int, int]]:
+    """The (begin, end) rows of every item."""
+    listed: list[int] = offsets.tolist()
+    return list(zip(listed, listed[1:], strict=False))

@@ -1,0 +1,82 @@
+"""What a registration found, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_dtype, expect_shape
+from torchreg.types.correspondences import Correspondences
+from torchreg.types.options import RegistrationOptions
+
+
+class HypothesisCounts(NamedTuple):
+    """How many hypotheses of every pair reached each step, (B,) int64 each.
+
+    Attributes:
+        drawn: minimal samples drawn.
+        kept: samples that passed the edge-length test.
+        scored: hypotheses whose own sample fits within the threshold, scored on all correspondences.
+    """
+
+    drawn: Tensor
+    kept: Tensor
+    scored: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationResult:
+    """The transforms of ``B`` pairs. A failed pair is data: ``success`` false, and its ``reason``.
+
+    Attributes:
+        T_target_source: (B, 4, 4) float64, rigid: x_target = R x_source + t in meters, in the frames of the
+            files (origins included). The identity stands only beside ``success`` = False.
+        inliers: (M,) bool over ``correspondences``.
+        fitness: (B,) float64, share of source points with a target point nearer than the inlier threshold
+            under the transform; as Open3D's ``evaluate_registration``.
+        inlier_rmse: (B,) float64, meters, over those points; as Open3D.
+        success: (B,) bool.
+        reason: why a pair did not succeed, empty where it did.
+        hypotheses: counts of every pair.
+        correspondences: the matches that ``inliers`` speaks of; their rows are those of the clouds handed to
+            ``ransac``, in ``register`` those of the downsampled clouds.
+        options: what every pair was run with, derived numbers included; empty when made by ``ransac``.
+        notes: what a user should know of a pair, such as that it had no colors.
+        seconds: time of every stage, by name, in order; empty when made by ``ransac``.
+    """
+
+    T_target_source: Tensor
+    inliers: Tensor
+    fitness: Tensor
+    inlier_rmse: Tensor
+    success: Tensor
+    reason: tuple[str, ...]
+    hypotheses: HypothesisCounts
+    correspondences: Correspondences
+    options: tuple[RegistrationOptions, ...] = ()
+    notes: tuple[tuple[str, ...], ...] = ()
+    seconds: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4))
+        expect_dtype(self.T_target_source, "T_target_source", torch.float64)
+        pairs = self.T_target_source.shape[0]
+        expect_shape(self.inliers, "inliers", (self.correspondences.source.shape[0],))
+        expect_dtype(self.inliers, "inliers", torch.bool)
+        for name in ("fitness", "inlier_rmse"):
+            expect_shape(getattr(self, name), name, (pairs,))
+            expect_dtype(getattr(self, name), name, torch.float64)
+        expect_shape(self.success, "success", (pairs,))
+        expect_dtype(self.success, "success", torch.bool)
+        expect(len(self.reason) == pairs, "reason", f"one text per pair ({pairs})", self.reason)
+        for counts, field in zip(self.hypotheses, self.hypotheses._fields, strict=True):
+            expect_shape(counts, f"hypotheses.{field}", (pairs,))
+        expect(len(self.options) in (0, pairs), "options", f"none or one per pair ({pairs})", len(self.options))
+        expect(len(self.notes) in (0, pairs), "notes", f"none or one tuple per pair ({pairs})", len(self.notes))
+
+    def __len__(self) -> int:
+        """The number of pairs, B."""
+        return self.T_target_source.shape[0]
