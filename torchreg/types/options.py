@@ -53,14 +53,15 @@ class RegistrationOptions:
         normal_max_neighbors: nearest points within it, the point itself counted.
         feature_radius: meters, the support radius of FPFH.
         feature_max_neighbors: nearest points within it, the point itself counted.
-        color: the color block beside FPFH: ``"pcfh"`` (the paper's hue differences), ``"contrast"``
-            (spread of every color channel at two radii), or ``None`` for geometry alone.
-        color_radius: meters, the support radius of the color block (of its wider half for ``"contrast"``).
+        color: the color blocks beside FPFH: ``"pcfh"`` (the paper's histograms of differences) and
+            ``"contrast"`` (spread and shift of brightness per channel at two radii); empty for geometry
+            alone. Clouds without colors use none.
+        color_weights: weight of each of them beside the FPFH block, all of unit length before it.
+        color_radius: meters, the support radius of the color blocks.
         color_bins: bins of every PCFH histogram.
         color_channels: which of hue, saturation and value PCFH compares.
         equalization: histogram equalization of hue: ``"none"``, per ``"cloud"``, or ``"joint"`` over the pair.
-        saturation_weighting: PCFH votes count by the saturation of both points, so that gray has no say.
-        color_weight: weight of the color block beside the FPFH block, both of unit length before it.
+        saturation_weighting: PCFH votes on hue count by the saturation of both points, so that gray has no say.
         ratio: a match stays when its distance is below this fraction of the second nearest's; ``None``
             leaves the test out.
         ransac: how hypotheses are drawn and accepted.
@@ -71,26 +72,34 @@ class RegistrationOptions:
     normal_max_neighbors: int = 30
     feature_radius: float = 5.0
     feature_max_neighbors: int = 100
-    color: str | None = "pcfh"
+    color: tuple[str, ...] = ("pcfh",)
+    color_weights: tuple[float, ...] = (1.0,)
     color_radius: float = 2.0
     color_bins: int = 11
     color_channels: tuple[str, ...] = ("hue",)
     equalization: str = "cloud"
     saturation_weighting: bool = False
-    color_weight: float = 1.0
     ratio: float | None = None
     ransac: RansacOptions = field(default_factory=RansacOptions)
 
     def __post_init__(self) -> None:
         if self.voxel_size is not None:
             positive(self.voxel_size, "voxel_size")
-        for name in ("normal_radius", "feature_radius", "color_radius", "color_weight"):
+        for name in ("normal_radius", "feature_radius", "color_radius"):
             positive(getattr(self, name), name)
         at_least(self.normal_max_neighbors, "normal_max_neighbors", 3)
         at_least(self.feature_max_neighbors, "feature_max_neighbors", 3)
         at_least(self.color_bins, "color_bins", 1)
-        if self.color is not None:
-            one_of(self.color, "color", COLOR_BLOCKS)
+        for block in self.color:
+            one_of(block, "color", COLOR_BLOCKS)
+        for weight in self.color_weights:
+            positive(weight, "color_weights")
+        expect(
+            len(self.color_weights) == len(self.color),
+            "color_weights",
+            f"one per color block ({len(self.color)})",
+            self.color_weights,
+        )
         one_of(self.equalization, "equalization", EQUALIZATIONS)
         for channel in self.color_channels:
             one_of(channel, "color_channels", ("hue", "saturation", "value"))

@@ -1,0 +1,90 @@
+"""Global registration of colored point clouds in PyTorch.
+
+Clouds -> downsample -> neighbors -> normals -> fpfh, pcfh -> fuse -> match_mutual -> ransac: each arrow is one
+public function, tensors in and a named type out; ``register`` is these lines and nothing more.
+"""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from torchreg import metrics
+from torchreg.descriptors import contrast, fpfh, fuse, pcfh
+from torchreg.geometry.kabsch import kabsch
+from torchreg.geometry.se3 import transform
+from torchreg.io import (
+    from_open3d,
+    read_cloud,
+    to_open3d,
+    write_cloud,
+)
+from torchreg.matching import match_mutual
+from torchreg.neighbors import neighbors
+from torchreg.preprocess import (
+    estimate_normals,
+    farthest_point_downsample,
+    random_downsample,
+    voxel_downsample,
+)
+from torchreg.ransac import ransac
+from torchreg.registration import PAPER, derive_options, register, spacing
+from torchreg.types import (
+    Clouds,
+    Correspondences,
+    Features,
+    HypothesisCounts,
+    Neighborhoods,
+    RansacOptions,
+    RegistrationOptions,
+    RegistrationResult,
+)
+from torchreg.version import __version__
+
+if TYPE_CHECKING:
+    from torchreg import datasets, reference
+
+__all__ = [
+    "PAPER",
+    "Clouds",
+    "Correspondences",
+    "Features",
+    "HypothesisCounts",
+    "Neighborhoods",
+    "RansacOptions",
+    "RegistrationOptions",
+    "RegistrationResult",
+    "__version__",
+    "contrast",
+    "datasets",
+    "derive_options",
+    "estimate_normals",
+    "farthest_point_downsample",
+    "fpfh",
+    "from_open3d",
+    "fuse",
+    "kabsch",
+    "match_mutual",
+    "metrics",
+    "neighbors",
+    "pcfh",
+    "random_downsample",
+    "ransac",
+    "read_cloud",
+    "reference",
+    "register",
+    "spacing",
+    "to_open3d",
+    "transform",
+    "voxel_downsample",
+    "write_cloud",
+]
+
+_ON_FIRST_USE = ("datasets", "reference")
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in _ON_FIRST_USE:
+        return importlib.import_module(f"torchreg.{name}")
+    raise AttributeError(f"module 'torchreg' has no attribute {name!r}")

@@ -1,0 +1,92 @@
+"""Fast Point Feature Histograms: 33 numbers of local geometry per point.
+
+Rusu, Blodow and Beetz, ICRA 2009, doi:10.1109/ROBOT.2009.5152473; the paper's Eq. (2):
+
+    FPFH(q) = SPFH(q) + 1/k sum_k 1/w_k SPFH(k)
+
+SPFH(q) holds the three angles (``pair_features``) between q and each neighbor, 11 bins each, in percent; w_k is
+the squared distance. As Open3D has it, the sum over neighbors is scaled to 100 per angle before SPFH(q) is
+added; PCL scales it likewise and adds nothing.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors.histograms import count_votes, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
+from torchreg.errors import expect, expect_floating, one_of
+from torchreg.geometry.chunks import row_chunks
+from torchreg.types import Clouds, Features, Neighborhoods
+
+FPFH_SIZE = 3 * ANGLE_BINS
+
+
+def fpfh(cloud: Clouds, near: Neighborhoods, *, mode: str = "open3d", binning: str = "hard") -> Features:
+    """FPFH of every point.
+
+    Args:
+        cloud: points and unit normals; P rows.
+        near: the support of every point (the paper: 5 m, 100 nearest), the point itself counted.
+        mode: ``"open3d"`` adds the point's own SPFH (a row sums to 600, a block to 200);
+            ``"pcl"`` does not (300 and 100).
+        binning: ``"hard"`` counts votes in bins.
+
+    Returns:
+        Features of one block ("fpfh", 33): the angles f1, f2, f3, 11 bins each. A point without a neighbor
+        gets a zero row and is not valid. The values are the same bits for any chunking, batch and number of
+        threads. No gradients flow through hard histograms.
+
+    Raises:
+        ValueError: no normals, or shapes that do not fit.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(points=torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.fpfh(cloud, near).values.shape
+        torch.Size([50, 33])
+    """
+    one_of(mode, "mode", ("open3d", "pcl"))
+    one_of(binning, "binning", ("hard",))
+    if cloud.normals is None:
+        raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
+    expect_floating(cloud.points, "points")
+    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    spfh = simplified_histograms(cloud.points, cloud.normals, near)
+    values = _from_simplified(spfh, near, own=mode == "open3d")
+    return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=(values != 0).any(dim=1))
+
+
+def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
+    """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
+    columns = [column.contiguous() for column in (*points.unbind(1), *normals.unbind(1))]
+    out = points.new_empty(len(points), FPFH_SIZE)
+    for rows in row_chunks(len(points), near.max_neighbors):
+        counted = neighbor_votes(near.index, near.valid, rows)
+        votes = counted.to(torch.int32)
+        index = near.index[rows]
+        query = Oriented(*(column[rows, None] for column in columns))
+        neighbor = Oriented(*(column[index] for column in columns))
+        pair = pair_features(query, neighbor)
+        bins = (angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3))
+        counts = torch.cat([count_votes(bin_, votes, ANGLE_BINS) for bin_ in bins], dim=1)  # (r, 33)
+        total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(points.dtype)
+        torch.mul(counts.to(points.dtype), 100 / total, out=out[rows])
+    return out
+
+
+def _from_simplified(spfh: Tensor, near: Neighborhoods, *, own: bool) -> Tensor:
+    """The weighted sum over neighbors, scaled to 100 per angle, plus the own histogram."""
+    out = torch.empty_like(spfh)
+    for rows in row_chunks(len(spfh), near.max_neighbors):
+        counted = neighbor_votes(near.index, near.valid, rows)
+        weights = inverse_square_weights(near.sq_distance[rows], counted).to(spfh.dtype)
+        blocks = weighted_sum(spfh, near.index[rows], weights).view(-1, 3, ANGLE_BINS)
+        total = blocks.sum(dim=2, keepdim=True)
+        scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
+        result = (blocks * scale).view(-1, FPFH_SIZE)
+        out[rows] = result + spfh[rows] if own else result
+    return out

@@ -1,0 +1,47 @@
+"""One joint vector from several descriptors (the paper, section 3.2, step 5)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, positive
+from torchreg.types import Features
+
+
+def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Features:
+    """Scale every block to unit length, row by row, weigh it and concatenate.
+
+    Args:
+        features: descriptors of the same points, such as FPFH (33) and PCFH (11).
+        weights: one per argument, above 0; ``None`` for equal weights, as in the paper.
+
+    Returns:
+        Features with the blocks of all arguments in order (FPFH and PCFH: 44). A row whose block is zero takes
+        part with that block zero; a row with all blocks zero is not valid. Gradients flow.
+
+    Raises:
+        ValueError: nothing to fuse, different points, or a weight that is not above 0.
+    """
+    expect(len(features) > 0, "features", "at least one descriptor", features)
+    weights = (1.0,) * len(features) if weights is None else weights
+    expect(len(weights) == len(features), "weights", f"one per descriptor ({len(features)})", weights)
+    first = features[0]
+    for other in features[1:]:
+        expect(torch.equal(other.offsets, first.offsets), "features", "descriptors of the same points", other.offsets)
+    blocks = [unit_rows(item.values) * positive(weight, "weights") for item, weight in zip(features, weights, strict=True)]
+    values = torch.cat(blocks, dim=1)
+    return Features(
+        values,
+        first.offsets,
+        tuple(block for item in features for block in item.blocks),
+        valid=torch.stack([item.valid for item in features]).any(dim=0),
+    )
+
+
+def unit_rows(values: Tensor) -> Tensor:
+    """Rows of unit length; zero rows stay zero. Gradients are finite everywhere."""
+    square = (values * values).sum(dim=1, keepdim=True)
+    zero = square == 0
+    length = torch.where(zero, torch.ones_like(square), square).sqrt()
+    return values / length

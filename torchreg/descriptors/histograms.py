@@ -1,0 +1,59 @@
+"""Histograms over neighborhoods: votes as integer counts, and the distance-weighted sum of Eq. (2) and (4).
+
+Counts are integers, so that no order of addition shows in the result; the weighted sum adds the neighbors of a
+row one after another, in the row's own order.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import embedding_bag
+
+from torchreg.geometry.chunks import row_chunks
+
+
+def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:
+    """Count votes per row and bin.
+
+    Args:
+        bins: (R, K) int64 in [0, size).
+        votes: (R, K) integers (exact) or floats, zero in slots that do not vote.
+        size: number of bins.
+
+    Returns:
+        (R, size) of the dtype of ``votes``.
+    """
+    return votes.new_zeros(bins.shape[0], size).scatter_add_(1, bins, votes)
+
+
+def inverse_square_weights(sq_distance: Tensor, counted: Tensor) -> Tensor:
+    """1/d^2 (R, K) where ``counted`` and d > 0, else 0; never infinite or NaN."""
+    usable = counted & (sq_distance > 0)
+    return torch.where(usable, sq_distance, torch.ones_like(sq_distance)).reciprocal() * usable
+
+
+def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+    """Sum the rows of a table over every neighborhood, with weights.
+
+    Args:
+        table: (P, D), one histogram per point.
+        index: (R, K) int64 rows of ``table``.
+        weights: (R, K) of the dtype of ``table``.
+
+    Returns:
+        (R, D) with sum_k weights[r, k] table[index[r, k]]. Gradients flow to ``table`` and ``weights``.
+    """
+    if table.dtype == torch.float32 or index.numel() == 0:
+        return embedding_bag(index, table, per_sample_weights=weights, mode="sum")
+    parts = []
+    for rows in row_chunks(index.shape[0], index.shape[1] * table.shape[1], 1 << 20):
+        gathered = table[index[rows]] * weights[rows][..., None]  # (r, K, D)
+        parts.append(gathered.sum(dim=1))
+    return torch.cat(parts)
+
+
+def neighbor_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
+    """(R, K) bool: the valid slots of these rows that hold another point than the query itself."""
+    query = torch.arange(rows.start, rows.stop, device=index.device)[:, None]
+    return valid[rows] & (index[rows] != query)

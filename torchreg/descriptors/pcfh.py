@@ -1,0 +1,119 @@
+"""Point Color Feature Histograms: how the colors around a point differ from its own (the paper, section 3.4).
+
+    HHD(q)  = Histogram(|h_q - h_k|, d)                     Eq. (3)
+    PCFH(q) = HHD(q) + 1/k sum_k 1/w_k HHD(k)               Eq. (4)
+
+Hue is a circle: the difference is min(|a - b|, 1 - |a - b|) x 2 in [0, 1]. As with FPFH, histograms are in
+percent, w_k is the squared distance, and the sum over neighbors is scaled to 100 before HHD(q) is added, so
+that the unit of length does not matter.
+
+Beyond the paper, saturation and value can be compared beside hue, one histogram each, and a vote can count by
+the saturation of its two points: the hue of gray is noise.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors.color import color_values
+from torchreg.descriptors.histograms import count_votes, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.errors import at_least, expect, expect_shape, one_of
+from torchreg.geometry.chunks import row_chunks
+from torchreg.types import Clouds, Features, Neighborhoods
+
+CHANNELS = ("hue", "saturation", "value")
+MIN_NEIGHBORS = 3
+_VOTE_STEPS = 1024  # a weighted vote is a whole number of 1/1024, so that sums are exact
+
+
+def pcfh(
+    cloud: Clouds,
+    near: Neighborhoods,
+    *,
+    bins: int = 11,
+    channels: tuple[str, ...] = ("hue",),
+    equalization: str = "cloud",
+    saturation_weighting: bool = False,
+    values: Tensor | None = None,
+) -> Features:
+    """PCFH of every point.
+
+    Args:
+        cloud: points and colors; P rows.
+        near: the support of every point (the paper: all points within 2 m), the point itself counted.
+        bins: equal bins over [0, 1] per channel.
+        channels: which of ``"hue"``, ``"saturation"``, ``"value"`` are compared; the paper: hue.
+        equalization: of hue, ``"cloud"`` (the paper) or ``"none"``; not read when ``values`` is given.
+        saturation_weighting: hue votes count by the product of both points' saturations.
+        values: (P, 3) hue, saturation and value in [0, 1] instead of those of ``cloud``, such as jointly
+            equalized ones (``joint_color_values``).
+
+    Returns:
+        Features of one block ("pcfh", bins x channels). A point with fewer than 3 neighbors besides itself
+        gets a zero row and is not valid. The same bits for any chunking, batch and number of threads. No
+        gradients flow through hard histograms.
+
+    Raises:
+        ValueError: no colors, an unknown channel, or shapes that do not fit.
+    """
+    at_least(bins, "bins", 1)
+    expect(len(channels) > 0, "channels", "at least one channel", channels)
+    for channel in channels:
+        one_of(channel, "channels", CHANNELS)
+    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    if values is None:
+        values = color_values(cloud, equalization)
+    expect_shape(values, "values", (len(cloud.points), 3))
+    hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
+    out = _from_own(hhd, enough, near, bins)
+    return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=(out != 0).any(dim=1))
+
+
+def difference_bins(query: Tensor, neighbor: Tensor, bins: int, *, circular: bool) -> Tensor:
+    """Bin (int64) of the difference of two values in [0, 1]; ``circular`` for hue."""
+    difference = (neighbor - query).abs_()
+    if circular:
+        difference = torch.minimum(difference, 1 - difference).mul_(2)
+    return difference.mul_(bins).long().clamp_(max=bins - 1)
+
+
+def _own_histograms(
+    values: Tensor, near: Neighborhoods, bins: int, channels: tuple[str, ...], saturation_weighting: bool
+) -> tuple[Tensor, Tensor]:
+    """Eq. (3): (P, bins x channels) in percent, and (P,) whether a point had enough neighbors."""
+    columns = {name: values[:, CHANNELS.index(name)].contiguous() for name in (*channels, "saturation")}
+    out = values.new_empty(len(values), bins * len(channels))
+    enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
+    for rows in row_chunks(len(values), near.max_neighbors):
+        counted = neighbor_votes(near.index, near.valid, rows)
+        index = near.index[rows]
+        ones = counted.to(torch.int32)
+        enough[rows] = ones.sum(dim=1) >= MIN_NEIGHBORS
+        for place, channel in enumerate(channels):
+            column = columns[channel]
+            votes = ones
+            if channel == "hue" and saturation_weighting:
+                saturation = columns["saturation"]
+                product = saturation[index] * saturation[rows, None]
+                votes = (product * _VOTE_STEPS).round_().to(torch.int32) * ones
+            bin_ = difference_bins(column[rows, None], column[index], bins, circular=channel == "hue")
+            counts = count_votes(bin_, votes, bins).to(values.dtype)
+            total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(values.dtype)
+            out[rows, place * bins : (place + 1) * bins] = counts * (100 / total)
+    out *= enough[:, None]
+    return out, enough
+
+
+def _from_own(hhd: Tensor, enough: Tensor, near: Neighborhoods, bins: int) -> Tensor:
+    """Eq. (4): the own histogram plus the neighbors', by inverse squared distance, scaled to 100 a channel."""
+    out = torch.empty_like(hhd)
+    for rows in row_chunks(len(hhd), near.max_neighbors):
+        counted = neighbor_votes(near.index, near.valid, rows)
+        weights = inverse_square_weights(near.sq_distance[rows], counted).to(hhd.dtype)
+        blocks = weighted_sum(hhd, near.index[rows], weights).view(-1, hhd.shape[1] // bins, bins)
+        total = blocks.sum(dim=2, keepdim=True)
+        scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
+        out[rows] = (blocks * scale).view(-1, hhd.shape[1]) + hhd[rows]
+    out *= enough[:, None]
+    return out

@@ -1,0 +1,86 @@
+"""Exact nearest neighbors in feature space, from tiles of a matrix product.
+
+The product gives |b|^2 - 2 a.b for a tile of rows against all of the other set, up to rounding that depends on
+the shape of the tile and the number of threads. So it only proposes: where a second candidate lies within the
+bound on that rounding, all such candidates are compared by distances computed elementwise in float64, ties to
+the lower index. The answer is therefore the same for any tile and any number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+_TILE_ELEMENTS = 1 << 20  # 4 MB of float32: measured fastest on two cores, between 2^19 and 2^22
+
+
+class FeatureNearest(NamedTuple):
+    """The nearest row of the other set for every row.
+
+    Attributes:
+        index: (N,) int64.
+        distance: (N,) float64, Euclidean.
+        second: (N,) float64, approximate distance to the second nearest (infinity when there is none).
+    """
+
+    index: Tensor
+    distance: Tensor
+    second: Tensor
+
+
+def feature_nearest(query: Tensor, table: Tensor) -> FeatureNearest:
+    """The exact nearest row of ``table`` (M, D) for every row of ``query`` (N, D); M >= 1. No gradients."""
+    query, table = query.detach(), table.detach()
+    left = torch.cat([query, torch.ones_like(query[:, :1])], dim=1)  # (N, D + 1)
+    right = torch.cat([-2 * table, (table * table).sum(dim=1, keepdim=True)], dim=1).t().contiguous()  # (D + 1, M)
+    square = (query * query).sum(dim=1)
+    tolerance = _rounding_bound(square, right[-1], query.shape[1])
+
+    index = torch.empty(len(query), dtype=torch.int64, device=query.device)
+    second = torch.empty_like(square)
+    step = max(1, _TILE_ELEMENTS // len(table))
+    buffer = left.new_empty(min(step, len(left)), len(table))
+    for begin in range(0, len(left), step):
+        rows = slice(begin, min(begin + step, len(left)))
+        tile = torch.mm(left[rows], right, out=buffer[: rows.stop - begin])
+        best, place = tile.min(dim=1)
+        close = _settle_second(tile, place, best, tolerance, second[rows])
+        if bool(close.any()):
+            _settle_ties(query[rows], table, tile, best, tolerance, close, place)
+        index[rows] = place
+    distance = row_distance(query, table[index])
+    return FeatureNearest(index, distance, (second.double() + square.double()).clamp(min=0).sqrt())
+
+
+def row_distance(left: Tensor, right: Tensor) -> Tensor:
+    """Euclidean distances (N,) float64 of rows (N, D); terms are added in the order of the columns."""
+    difference = left.double() - right.double()
+    return (difference * difference).cumsum(dim=1)[:, -1].sqrt()
+
+
+def _rounding_bound(query_square: Tensor, table_square: Tensor, width: int) -> Tensor:
+    """Twice the largest rounding error of |b|^2 - 2 a.b summed in any order over ``width`` + 1 terms."""
+    a, b = query_square.amax(), table_square.amax()
+    return 2 * (width + 4) * torch.finfo(query_square.dtype).eps * (b + 2 * (a * b).sqrt())
+
+
+def _settle_second(tile: Tensor, place: Tensor, best: Tensor, tolerance: Tensor, second: Tensor) -> Tensor:
+    """Write the second smallest of every row into ``second``; return (r,) bool where it is too close to tell."""
+    tile.scatter_(1, place[:, None], float("inf"))
+    torch.amin(tile, dim=1, out=second)
+    tile.scatter_(1, place[:, None], best[:, None])
+    return second - best <= tolerance
+
+
+def _settle_ties(
+    query: Tensor, table: Tensor, tile: Tensor, best: Tensor, tolerance: Tensor, close: Tensor, place: Tensor
+) -> None:
+    """Decide rows with several candidates within rounding by exact distances; writes into ``place``."""
+    rows = close.nonzero()[:, 0]
+    near, candidate = (tile[rows] <= (best[rows] + tolerance)[:, None]).nonzero().unbind(1)
+    distance = row_distance(query[rows[near]], table[candidate])
+    least = distance.new_full((len(rows),), float("inf")).scatter_reduce_(0, near, distance, "amin")
+    winner = torch.where(distance == least[near], candidate, len(table))
+    place[rows] = winner.new_full((len(rows),), len(table)).scatter_reduce_(0, near, winner, "amin")

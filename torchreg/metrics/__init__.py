@@ -1,0 +1,20 @@
+"""How right a registration is: errors of a transform, coverage of clouds, quality of matches, recall."""
+
+from torchreg.metrics.matches import feature_match_recall, inlier_ratio
+from torchreg.metrics.overlap import fitness, inlier_rmse, overlap
+from torchreg.metrics.pose import rmse, rre, rte
+from torchreg.metrics.recall import recalled_by_error, recalled_by_rmse, registration_recall
+
+__all__ = [
+    "feature_match_recall",
+    "fitness",
+    "inlier_ratio",
+    "inlier_rmse",
+    "overlap",
+    "recalled_by_error",
+    "recalled_by_rmse",
+    "registration_recall",
+    "rmse",
+    "rre",
+    "rte",
+]

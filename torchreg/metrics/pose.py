@@ -1,0 +1,60 @@
+"""Errors of an estimated transform against the true one: the paper's Eq. (5) to (7)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_shape
+from torchreg.geometry.se3 import apply_rotation
+
+
+def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
+    """Relative rotation error, degrees (Eq. 5): the angle of R_true^T R_estimated.
+
+    Computed from sine and cosine together, so that small angles keep their digits (the arc cosine of Eq. (5)
+    loses them below 1e-6 degrees).
+
+    Args:
+        T_true: (..., 4, 4).
+        T_estimated: (..., 4, 4).
+
+    Returns:
+        (...,) in [0, 180]. Gradients flow, except at 0 and 180 degrees.
+    """
+    _check(T_true, T_estimated)
+    R = T_true[..., :3, :3].transpose(-1, -2) @ T_estimated[..., :3, :3]
+    axis = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1)
+    twice_cosine = torch.diagonal(R, dim1=-2, dim2=-1).sum(dim=-1) - 1
+    return torch.rad2deg(torch.atan2(axis.norm(dim=-1), twice_cosine))
+
+
+def rte(T_true: Tensor, T_estimated: Tensor) -> Tensor:
+    """Relative translation error, meters (Eq. 6): |t_true - t_estimated|, (...,). Gradients flow."""
+    _check(T_true, T_estimated)
+    return (T_true[..., :3, 3] - T_estimated[..., :3, 3]).norm(dim=-1)
+
+
+def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
+    """Root mean square distance, meters (Eq. 7), between the source points under the two transforms.
+
+    Args:
+        T_true: (..., 4, 4).
+        T_estimated: (..., 4, 4).
+        points: (P, 3) of the source, meters, in the frame that the transforms map from.
+
+    Returns:
+        (...,). Gradients flow.
+    """
+    _check(T_true, T_estimated)
+    expect_shape(points, "points", ("P", 3))
+    expect(len(points) > 0, "points", "at least one point", points)
+    difference = (T_true - T_estimated)[..., :3, :]
+    wide = points.to(difference.dtype)
+    moved = apply_rotation(difference[..., None, :, :3], wide) + difference[..., None, :, 3]  # (..., P, 3)
+    return moved.square().sum(dim=-1).mean(dim=-1).sqrt()
+
+
+def _check(T_true: Tensor, T_estimated: Tensor) -> None:
+    expect(T_true.shape[-2:] == (4, 4), "T_true", "(..., 4, 4)", T_true)
+    expect(T_estimated.shape[-2:] == (4, 4), "T_estimated", "(..., 4, 4)", T_estimated)

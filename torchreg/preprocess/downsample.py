@@ -1,0 +1,178 @@
+"""Fewer points: voxel means, a random choice, farthest points. What comes out is in Z order.
+
+Points in Z order make every later search and gather faster, since neighbors in space lie close in memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import at_least, expect, positive
+from torchreg.geometry.morton import morton_order
+from torchreg.types import Clouds
+from torchreg.types.packing import offsets_of, spans
+
+
+def in_morton_order(cloud: Clouds) -> Clouds:
+    """The same clouds with the points of each along a Z curve."""
+    return cloud.rows(morton_order(cloud.points, cloud.offsets), cloud.offsets)
+
+
+def voxel_downsample(cloud: Clouds, voxel_size: float | Tensor) -> Clouds:
+    """Replace the points in every cube of a grid by their mean, colors and normals likewise.
+
+    The grid starts half a voxel below the least coordinates of a cloud, as Open3D's does.
+
+    Args:
+        cloud: B clouds.
+        voxel_size: meters, the edge of a cube: a number, or one per cloud (B,).
+
+    Returns:
+        Clouds in Z order; mean normals are scaled to unit length again. The sums are made in float64 in the
+        order of the points, so the result is the same in any batch. No gradients.
+
+    Raises:
+        ValueError: ``voxel_size`` not above 0, or so small against the extent that voxels cannot be numbered.
+    """
+    sizes = _per_cloud(voxel_size, cloud)
+    parts = [_voxel_rows(cloud, begin, end, size) for (begin, end), size in zip(spans(cloud.offsets), sizes, strict=True)]
+
+    def join(which: int) -> Tensor:
+        return torch.cat([part[which] for part in parts]) if parts else cloud.points
+
+    dtype = cloud.points.dtype
+    normals = None
+    if cloud.normals is not None:
+        mean = join(2)
+        normals = (mean / mean.norm(dim=1, keepdim=True).clamp_min(1e-12)).to(dtype)
+    thinned = replace(
+        cloud,
+        points=join(0).to(dtype),
+        offsets=offsets_of(len(part[0]) for part in parts),
+        colors=None if cloud.colors is None else join(1).to(dtype),
+        normals=normals,
+    )
+    return in_morton_order(thinned)
+
+
+def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator | None = None) -> Clouds:
+    """Keep exactly ``count`` points of every cloud, chosen without replacement.
+
+    Args:
+        cloud: B clouds.
+        count: how many points stay; a cloud with fewer keeps them all.
+        generator: a CPU generator; ``None`` makes one with seed 0. Every cloud is drawn from a generator of
+            its own, seeded by one draw from this one, so its choice does not depend on its place in the batch.
+
+    Returns:
+        Clouds in Z order.
+
+    Raises:
+        ValueError: ``count`` below 1.
+    """
+    at_least(count, "count", 1)
+    seed = draw_seed(generator)
+    kept = []
+    for begin, end in spans(cloud.offsets):
+        if end - begin <= count:
+            kept.append(torch.arange(begin, end))
+            continue
+        own = torch.Generator().manual_seed(seed)
+        kept.append(begin + torch.randperm(end - begin, generator=own)[:count].sort().values)
+    return _rows(cloud, kept)
+
+
+def farthest_point_downsample(cloud: Clouds, count: int) -> Clouds:
+    """Keep ``count`` points of every cloud, each the farthest from those chosen before it.
+
+    Eldar et al., IEEE Trans. Image Processing 6(9), 1997, doi:10.1109/83.623193. The first is the point
+    farthest from the cloud's mean; ties go to the lower row. Costs count x P operations.
+
+    Args:
+        cloud: B clouds.
+        count: how many points stay; a cloud with fewer keeps them all.
+
+    Returns:
+        Clouds in Z order.
+
+    Raises:
+        ValueError: ``count`` below 1.
+    """
+    at_least(count, "count", 1)
+    kept = []
+    for begin, end in spans(cloud.offsets):
+        if end - begin <= count:
+            kept.append(torch.arange(begin, end))
+        else:
+            kept.append(begin + _farthest(cloud.points[begin:end].double(), count).cpu())
+    return _rows(cloud, kept)
+
+
+def draw_seed(generator: torch.Generator | None) -> int:
+    """One 62-bit number from a generator (advancing it), or 0 for ``None``."""
+    if generator is None:
+        return 0
+    expect(generator.device.type == "cpu", "generator", "a CPU generator", generator.device)
+    return int(torch.randint(2**62, (1,), generator=generator).item())
+
+
+def _farthest(points: Tensor, count: int) -> Tensor:
+    x, y, z = (column.contiguous() for column in points.unbind(1))
+    chosen = torch.empty(count, dtype=torch.int64, device=points.device)
+    mx, my, mz = (column.sort().values.cumsum(0)[-1] / len(points) for column in (x, y, z))
+    nearest = (x - mx).square_().add_((y - my).square_()).add_((z - mz).square_())
+    current = nearest.argmax()
+    nearest.fill_(float("inf"))
+    for step in range(count):
+        chosen[step] = current
+        cx, cy, cz = x[current], y[current], z[current]
+        distance = (x - cx).square_().add_((y - cy).square_()).add_((z - cz).square_())
+        torch.minimum(nearest, distance, out=nearest)
+        current = nearest.argmax()
+    return chosen.sort().values
+
+
+def _rows(cloud: Clouds, kept: list[Tensor]) -> Clouds:
+    index = torch.cat(kept) if kept else torch.zeros(0, dtype=torch.int64)
+    return in_morton_order(cloud.rows(index.to(cloud.device), offsets_of(map(len, kept))))
+
+
+def _per_cloud(size: float | Tensor, cloud: Clouds) -> list[float]:
+    if isinstance(size, Tensor):
+        expect(size.shape == (len(cloud),), "voxel_size", f"a number or one per cloud ({len(cloud)},)", size)
+        return [positive(value, "voxel_size") for value in size.tolist()]
+    return [positive(size, "voxel_size")] * len(cloud)
+
+
+def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean points, colors and normals (float64) of the voxels of one cloud."""
+    points = cloud.points[begin:end].double()
+    empty = points.new_zeros(0, 3)
+    if begin == end:
+        return empty, empty, empty
+    cell = ((points - points.amin(dim=0)) / size + 0.5).floor()
+    cells = cell.amax(dim=0) + 1
+    expect(
+        bool(torch.isfinite(cells).all()) and float(cells.prod()) < 2.0**62,
+        "voxel_size",
+        f"finite points and at most 2^62 voxels in the extent, {[f'{n:.3g}' for n in cells.tolist()]} along x, y, z",
+        size,
+    )
+    grid = cell.long()
+    width = cells.long()
+    key = (grid[:, 2] * width[1] + grid[:, 1]) * width[0] + grid[:, 0]
+    ordered, order = key.sort(stable=True)
+    _, number, count = ordered.unique_consecutive(return_inverse=True, return_counts=True)
+    divisor = count.double()[:, None]
+
+    def mean(values: Tensor | None) -> Tensor:
+        if values is None:
+            return empty
+        # rows of one voxel are added one after another, in their order, by a single thread
+        total = torch.zeros(len(count), 3, dtype=torch.float64, device=values.device)
+        return total.index_add_(0, number, values[begin:end].double()[order]) / divisor
+
+    return mean(cloud.points), mean(cloud.colors), mean(cloud.normals)

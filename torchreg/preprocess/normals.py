@@ -1,0 +1,94 @@
+"""Surface normals by principal components, turned to the scanner.
+
+The normal of a point is the direction in which its neighborhood spreads least (Hoppe et al., SIGGRAPH 1992,
+doi:10.1145/133994.134011). That leaves the sign open, and the sign decides FPFH: normals are turned to the
+viewpoint, so that two scans of one wall see the same side of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_shape
+from torchreg.geometry.chunks import row_chunks, stable_sum
+from torchreg.geometry.eigen import symmetric_eigen
+from torchreg.types import Clouds, Neighborhoods
+from torchreg.types.packing import spans
+
+
+def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | None = None) -> Clouds:
+    """Clouds with unit normals that face the viewpoint.
+
+    Args:
+        cloud: P points.
+        near: the support of every point (the paper: 2 m, 30 nearest), the point itself counted.
+        viewpoint: (3,) or (B, 3) meters in the frame of ``points``; ``None`` takes the clouds' own. A cloud
+            whose viewpoint is not known turns its normals to its own mean point: a rule that moves with the
+            cloud, though it cannot know which side was seen.
+
+    Returns:
+        The clouds with ``normals`` set. With fewer than 3 points in its support, or points all in one place, a
+        point faces the viewpoint. Computed in float64; the same bits in any batch. No gradients.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    if viewpoint is not None:
+        viewpoint = viewpoint.expand(len(cloud), 3) if viewpoint.ndim == 1 else viewpoint
+        expect_shape(viewpoint, "viewpoint", (len(cloud), 3))
+    towards = _facing(cloud, cloud.viewpoint if viewpoint is None else viewpoint)
+    normals = torch.empty_like(cloud.points)
+    x, y, z = (column.contiguous() for column in cloud.points.unbind(1))
+    for rows in row_chunks(len(cloud.points), near.max_neighbors):
+        covariance, count = _covariance(x, y, z, near, rows)
+        _, vectors = symmetric_eigen(covariance)
+        normal = vectors[..., 0]  # (r, 3): least spread
+        spread = torch.diagonal(covariance, dim1=-2, dim2=-1).sum(dim=-1)
+        flat = ((count >= 3) & (spread > 0))[:, None]
+        normal = torch.where(flat, normal, unit(towards[rows]))
+        facing = (normal * towards[rows]).sum(dim=1, keepdim=True)
+        normals[rows] = torch.where(facing < 0, -normal, normal).to(normals.dtype)
+    return replace(cloud, normals=normals)
+
+
+def unit(vectors: Tensor) -> Tensor:
+    """Vectors (P, 3) of unit length; (0, 0, 1) for zero vectors."""
+    square = (vectors * vectors).sum(dim=1, keepdim=True)
+    up = vectors.new_tensor([0.0, 0.0, 1.0])
+    return torch.where(square > 0, vectors / torch.where(square > 0, square, torch.ones_like(square)).sqrt(), up)
+
+
+def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
+    """(P, 3) float64: from every point to where its normal should look."""
+    out = torch.empty(len(cloud.points), 3, dtype=torch.float64, device=cloud.device)
+    for b, (begin, end) in enumerate(spans(cloud.offsets)):
+        points = cloud.points[begin:end].double()
+        if begin == end:
+            continue
+        center = stable_sum(points) / len(points)
+        if viewpoint is not None:
+            known = torch.isfinite(viewpoint[b]).all()
+            center = torch.where(known, viewpoint[b].double(), center)
+        out[begin:end] = center - points
+    return out
+
+
+def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, rows: slice) -> tuple[Tensor, Tensor]:
+    """Covariance (r, 3, 3) float64 of the valid neighbors, and their number (r,)."""
+    index, valid = near.index[rows], near.valid[rows]
+    count = valid.sum(dim=1)
+    share = 1 / count.clamp(min=1).double()
+    weight = valid.double()
+    offset = [((column[index] - column[rows, None]) * weight) for column in (x, y, z)]
+    mean = [part.sum(dim=1) * share for part in offset]
+
+    def moment(i: int, j: int) -> Tensor:
+        return (offset[i] * offset[j]).sum(dim=1) * share - mean[i] * mean[j]
+
+    entries = {(i, j): moment(i, j) for i in range(3) for j in range(i, 3)}
+    lines = [torch.stack([entries[min(i, j), max(i, j)] for j in range(3)], dim=-1) for i in range(3)]
+    return torch.stack(lines, dim=-2), count
