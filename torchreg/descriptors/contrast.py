@@ -65,7 +65,8 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
             near_mean, near_spread = _moments(value, core)
             far_mean, far_spread = _moments(value, whole)
             far_level = own + far_mean + _FLOOR
-            columns += [near_spread / (own + near_mean + _FLOOR), far_spread / far_level, (near_mean - far_mean) / far_level]
+            near_level = own + near_mean + _FLOOR
+            columns += [near_spread / near_level, far_spread / far_level, (near_mean - far_mean) / far_level]
         described = (whole.sum(dim=1) > 1).to(colors.dtype)
         columns.append(torch.full_like(columns[0], _CONSTANT))
         torch.mul(torch.stack(columns, dim=1), described[:, None], out=out[rows])

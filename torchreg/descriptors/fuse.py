@@ -29,7 +29,9 @@ def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Featu
     first = features[0]
     for other in features[1:]:
         expect(torch.equal(other.offsets, first.offsets), "features", "descriptors of the same points", other.offsets)
-    blocks = [unit_rows(item.values) * positive(weight, "weights") for item, weight in zip(features, weights, strict=True)]
+    for weight in weights:
+        positive(weight, "weights")
+    blocks = [unit_rows(item.values) * weight for item, weight in zip(features, weights, strict=True)]
     values = torch.cat(blocks, dim=1)
     return Features(
         values,

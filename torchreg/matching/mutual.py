@@ -58,15 +58,15 @@ def _match_pair(
     if len(left) == 0 or len(right) == 0:
         return of_source[:0], of_target[:0], left.new_zeros(0)
     forth = feature_nearest(left, right)
-    keep = torch.ones_like(forth.index, dtype=torch.bool)
+    keep = torch.ones_like(forth.row, dtype=torch.bool)
     if ratio is not None:
         keep = forth.distance < ratio * forth.second
     # only targets that are somebody's nearest can be mutual
-    wanted, number = forth.index.unique(return_inverse=True)
-    back = feature_nearest(right[wanted], left).index
+    wanted, number = forth.row.unique(return_inverse=True)
+    back = feature_nearest(right[wanted], left).row
     rows = torch.arange(len(left), device=left.device)
     kept = ((back[number] == rows) & keep).nonzero()[:, 0]
-    return of_source[kept], of_target[forth.index[kept]], forth.distance[kept].to(left.dtype)
+    return of_source[kept], of_target[forth.row[kept]], forth.distance[kept].to(left.dtype)
 
 
 def _usable(features: Features, begin: int, end: int) -> Tensor:

@@ -20,12 +20,12 @@ class FeatureNearest(NamedTuple):
     """The nearest row of the other set for every row.
 
     Attributes:
-        index: (N,) int64.
+        row: (N,) int64.
         distance: (N,) float64, Euclidean.
         second: (N,) float64, approximate distance to the second nearest (infinity when there is none).
     """
 
-    index: Tensor
+    row: Tensor
     distance: Tensor
     second: Tensor
 

@@ -26,13 +26,15 @@ def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
     R = T_true[..., :3, :3].transpose(-1, -2) @ T_estimated[..., :3, :3]
     axis = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1)
     twice_cosine = torch.diagonal(R, dim1=-2, dim2=-1).sum(dim=-1) - 1
-    return torch.rad2deg(torch.atan2(axis.norm(dim=-1), twice_cosine))
+    return torch.rad2deg(torch.atan2(torch.linalg.vector_norm(axis, dim=-1), twice_cosine))
 
 
 def rte(T_true: Tensor, T_estimated: Tensor) -> Tensor:
     """Relative translation error, meters (Eq. 6): |t_true - t_estimated|, (...,). Gradients flow."""
     _check(T_true, T_estimated)
-    return (T_true[..., :3, 3] - T_estimated[..., :3, 3]).norm(dim=-1)
+    difference: Tensor = T_true[..., :3, 3] - T_estimated[..., :3, 3]
+    length: Tensor = torch.linalg.vector_norm(difference, dim=-1)
+    return length
 
 
 def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
@@ -52,7 +54,8 @@ def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
     difference = (T_true - T_estimated)[..., :3, :]
     wide = points.to(difference.dtype)
     moved = apply_rotation(difference[..., None, :, :3], wide) + difference[..., None, :, 3]  # (..., P, 3)
-    return moved.square().sum(dim=-1).mean(dim=-1).sqrt()
+    mean: Tensor = (moved * moved).sum(dim=-1).mean(dim=-1)
+    return torch.sqrt(mean)
 
 
 def _check(T_true: Tensor, T_estimated: Tensor) -> None:

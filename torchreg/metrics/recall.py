@@ -8,7 +8,9 @@ from torchreg.errors import expect, positive
 from torchreg.metrics.pose import rre, rte
 
 
-def recalled_by_error(T_true: Tensor, T_estimated: Tensor, *, rotation: float = 15.0, translation: float = 0.3) -> Tensor:
+def recalled_by_error(
+    T_true: Tensor, T_estimated: Tensor, *, rotation: float = 15.0, translation: float = 0.3
+) -> Tensor:
     """(B,) bool: rotation error (degrees) and translation error (meters) both below their bounds.
 
     The bounds are those of Choy, Dong and Koltun, Deep Global Registration, CVPR 2020,

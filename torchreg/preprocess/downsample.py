@@ -38,7 +38,8 @@ def voxel_downsample(cloud: Clouds, voxel_size: float | Tensor) -> Clouds:
         ValueError: ``voxel_size`` not above 0, or so small against the extent that voxels cannot be numbered.
     """
     sizes = _per_cloud(voxel_size, cloud)
-    parts = [_voxel_rows(cloud, begin, end, size) for (begin, end), size in zip(spans(cloud.offsets), sizes, strict=True)]
+    spans_and_sizes = zip(spans(cloud.offsets), sizes, strict=True)
+    parts = [_voxel_rows(cloud, begin, end, size) for (begin, end), size in spans_and_sizes]
 
     def join(which: int) -> Tensor:
         return torch.cat([part[which] for part in parts]) if parts else cloud.points
@@ -173,6 +174,7 @@ def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tenso
             return empty
         # rows of one voxel are added one after another, in their order, by a single thread
         total = torch.zeros(len(count), 3, dtype=torch.float64, device=values.device)
-        return total.index_add_(0, number, values[begin:end].double()[order]) / divisor
+        total.index_add_(0, number, values[begin:end].double()[order])
+        return total / divisor
 
     return mean(cloud.points), mean(cloud.colors), mean(cloud.normals)

@@ -95,7 +95,9 @@ def _register_pair(
     near = coverage(source.select(b).points, target.select(b).points, R, t, options.inlier_threshold)
     outcome.fitness, outcome.inlier_rmse = float(near.fitness), float(near.inlier_rmse)
     outcome.T = rigid(R, t + target.origin[b] - apply_rotation(R, source.origin[b]))
-    outcome.reason = refusal(int(found.best.count), end - begin, near)
+    outcome.reason = refusal(
+        int(found.best.support), options.sample_size, found.scored, apply_rotation(R, p) + t, q, options.inlier_threshold
+    )
     return outcome
 
 

@@ -23,20 +23,20 @@ class Scored(NamedTuple):
         rotation: (3, 3, H).
         translation: (3, H).
         inliers: (H, M) bool.
-        count: (H,) int64.
+        support: (H,) int64, the number of inliers.
         error: (H,) sum of squared residuals of the inliers, square meters.
     """
 
     rotation: Tensor
     translation: Tensor
     inliers: Tensor
-    count: Tensor
+    support: Tensor
     error: Tensor
 
     def take(self, index: Tensor) -> Scored:
         """The hypotheses ``index`` (K,), in that order."""
         rotation, translation = self.rotation[..., index], self.translation[..., index]
-        return Scored(rotation, translation, self.inliers[index], self.count[index], self.error[index])
+        return Scored(rotation, translation, self.inliers[index], self.support[index], self.error[index])
 
 
 def score(rotation: Tensor, translation: Tensor, source: Tensor, target: Tensor, threshold: float) -> Scored:
@@ -50,22 +50,22 @@ def score(rotation: Tensor, translation: Tensor, source: Tensor, target: Tensor,
 def best_first(scored: Scored) -> Tensor:
     """Order (H,) by count, then by error, then by place."""
     by_error = scored.error.sort(stable=True).indices
-    return by_error[scored.count[by_error].sort(descending=True, stable=True).indices]
+    return by_error[scored.support[by_error].sort(descending=True, stable=True).indices]
 
 
 def optimize(scored: Scored, source: Tensor, target: Tensor, threshold: float, rounds: int) -> Scored:
     """Refit hypotheses to their inliers until none gets better, at most ``rounds`` times."""
     for _ in range(rounds):
         refitted = score(*fit(scored.inliers, source, target), source, target, threshold)
-        better = refitted.count > scored.count
-        better |= (refitted.count == scored.count) & (refitted.error < scored.error)
+        better = refitted.support > scored.support
+        better |= (refitted.support == scored.support) & (refitted.error < scored.error)
         if not bool(better.any()):
             break
         scored = Scored(
             torch.where(better, refitted.rotation, scored.rotation),
             torch.where(better, refitted.translation, scored.translation),
             torch.where(better[:, None], refitted.inliers, scored.inliers),
-            torch.where(better, refitted.count, scored.count),
+            torch.where(better, refitted.support, scored.support),
             torch.where(better, refitted.error, scored.error),
         )
     return scored
@@ -79,6 +79,7 @@ def fit(inliers: Tensor, source: Tensor, target: Tensor) -> tuple[Tensor, Tensor
     target_mean = torch.stack([stable_sum(weight * target[i, :, None]) / total for i in range(3)], dim=-1)
     p = [(source[i, :, None] - source_mean[:, i]) * weight for i in range(3)]  # (M, H)
     q = [target[i, :, None] - target_mean[:, i] for i in range(3)]
-    covariance = torch.stack([torch.stack([stable_sum(p[i] * q[j]) for j in range(3)], dim=-1) for i in range(3)], dim=-2)
+    rows = [torch.stack([stable_sum(p[i] * q[j]) for j in range(3)], dim=-1) for i in range(3)]
+    covariance = torch.stack(rows, dim=-2)  # (H, 3, 3)
     T = from_moments(source_mean, target_mean, covariance)
     return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t()

@@ -71,7 +71,7 @@ def search(source: Tensor, target: Tensor, options: RansacOptions, seed: int) ->
         scored += len(passed)
         if options.confidence < 1:
             leader = score(*pool.leader(), source, target, options.inlier_threshold)
-            best_count = max(best_count, int(leader.count))
+            best_count = max(best_count, int(leader.support))
             if drawn >= _hypotheses_needed(best_count / count, options.sample_size, options.confidence):
                 break
     if scored == 0:

@@ -58,7 +58,8 @@ def _defect(cloud: Clouds, name: str) -> str:
     centered = (points - points[:1]).double()
     if not bool((centered != 0).any()):
         return f"a degenerate cloud: all {len(points)} points of the {name} coincide"
-    spread = torch.linalg.eigvalsh(centered.t() @ centered - centered.mean(0, keepdim=True).t() @ centered.sum(0, keepdim=True))
+    centered = centered - centered.mean(dim=0)
+    spread = torch.linalg.eigvalsh(centered.t() @ centered)
     if float(spread[1]) <= 1e-12 * float(spread[2]):
         return f"a degenerate cloud: the points of the {name} lie on one line"
     return ""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -135,31 +134,26 @@ class Clouds:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Clouds:
         """Copy to a device or change the dtype of points, colors, normals and viewpoint (``origin`` stays float64)."""
 
-        def move(value: Tensor | None) -> Any:
-            return None if value is None else value.to(device=device, dtype=dtype)
-
-        return Clouds(
-            points=move(self.points),
-            offsets=self.offsets,
-            colors=move(self.colors),
-            normals=move(self.normals),
-            origin=self.origin.to(device=device),
-            viewpoint=move(self.viewpoint),
-        )
+        return self._mapped(lambda value: value.to(device=device, dtype=dtype), self.origin.to(device=device))
 
     def pin_memory(self) -> Clouds:
         """Copy into page-locked memory, for faster and asynchronous transfer to a GPU."""
 
-        def pin(value: Tensor | None) -> Any:
-            return None if value is None else value.pin_memory()
+        return self._mapped(Tensor.pin_memory, self.origin.pin_memory())
+
+    def _mapped(self, change: Callable[[Tensor], Tensor], origin: Tensor) -> Clouds:
+        """The clouds with every tensor but offsets and origin changed by a function."""
+
+        def optional(value: Tensor | None) -> Tensor | None:
+            return None if value is None else change(value)
 
         return Clouds(
-            points=pin(self.points),
+            points=change(self.points),
             offsets=self.offsets,
-            colors=pin(self.colors),
-            normals=pin(self.normals),
-            origin=pin(self.origin),
-            viewpoint=pin(self.viewpoint),
+            colors=optional(self.colors),
+            normals=optional(self.normals),
+            origin=origin,
+            viewpoint=optional(self.viewpoint),
         )
 
 

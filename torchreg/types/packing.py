@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import torch
 from torch import Tensor
@@ -20,7 +20,7 @@ def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor
     expect_dtype(offsets, name, torch.int64)
     offsets = offsets.cpu()
     listed = offsets.tolist()
-    ascending = all(low <= high for low, high in zip(listed, listed[1:], strict=False))
+    ascending = all(low <= high for low, high in pairwise(listed))
     expect(
         len(listed) >= 1 and listed[0] == 0 and listed[-1] == rows and ascending,
         name,
@@ -38,4 +38,4 @@ def offsets_of(lengths: Iterable[int]) -> Tensor:
 def spans(offsets: Tensor) -> list[tuple[int, int]]:
     """The (begin, end) rows of every item."""
     listed: list[int] = offsets.tolist()
-    return list(zip(listed, listed[1:], strict=False))
+    return list(pairwise(listed))
