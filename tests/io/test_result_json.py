@@ -1,0 +1,132 @@
+"""Results as JSON, and the quaternion in them."""
+
+import json
+import os
+import platform
+import socket
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from torchreg.io import read_transform_text, result_to_dict, write_result_json
+from torchreg.io.quaternion import quaternion_wxyz
+from torchreg.types import Correspondences, HypothesisCounts, RegistrationOptions, RegistrationResult
+
+quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def matrix_of(w, x, y, z):
+    """The rotation of a unit quaternion, by its definition: v -> q v q*."""
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+parts = st.one_of(st.floats(-1, 1), st.sampled_from([0.0, 1.0, -1.0, 1e-9, -1e-9]))
+
+
+@quick
+@given(q=st.tuples(parts, parts, parts, parts).filter(lambda q: np.linalg.norm(q) > 1e-3))
+def test_quaternion_against_its_definition(q):
+    q = np.array(q) / np.linalg.norm(q)
+    found = quaternion_wxyz(torch.from_numpy(matrix_of(*q))).numpy()
+    assert found.dtype == np.float64
+    assert found[0] >= 0
+    assert abs(np.linalg.norm(found) - 1) < 1e-15 * 4
+    assert min(np.abs(found - q).max(), np.abs(found + q).max()) < 1e-14
+    np.testing.assert_allclose(matrix_of(*found), matrix_of(*q), atol=1e-14)
+
+
+def test_quaternion_of_batches_and_float32():
+    q = torch.nn.functional.normalize(torch.randn(5, 4, generator=torch.Generator().manual_seed(0)), dim=1)
+    R = torch.from_numpy(np.stack([matrix_of(*row) for row in q.double().numpy()])).float()
+    found = quaternion_wxyz(R)
+    assert found.dtype == torch.float32
+    torch.testing.assert_close(found, q * torch.sign(q[:, :1]), atol=1e-6, rtol=0)
+
+
+def a_result(seed=0, rmse=0.01):
+    rng = np.random.default_rng(seed)
+    T = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
+    q = rng.normal(size=4)
+    T[0, :3, :3] = torch.from_numpy(matrix_of(*(q / np.linalg.norm(q))))
+    T[0, :3, 3] = torch.from_numpy(rng.normal(size=3) * 1e6)
+    ones = torch.arange(5)
+    return RegistrationResult(
+        T_target_source=T,
+        inliers=torch.tensor([True, False, True, False, True]),
+        fitness=torch.tensor([0.75, 0.0], dtype=torch.float64),
+        inlier_rmse=torch.tensor([rmse, float("nan")], dtype=torch.float64),
+        success=torch.tensor([True, False]),
+        reason=("", "too few matches"),
+        hypotheses=HypothesisCounts(*(torch.tensor([n, 0]) for n in (600, 50, 7))),
+        correspondences=Correspondences(ones, ones, torch.tensor([0, 3, 5]), torch.rand(5)),
+        options=(RegistrationOptions(), RegistrationOptions()),
+        notes=(("no colors",), ()),
+        seconds=(("normals", 0.5), ("ransac", float("inf"))),
+    )
+
+
+NAMES = {"seed": 7, "source": "a.ply", "target": "b.ply"}
+
+
+@quick
+@given(seed=st.integers(0, 1000))
+def test_json_round_trip(tmp_path, seed):
+    result = a_result(seed)
+    path = tmp_path / "r.json"
+    write_result_json(path, result, **NAMES)
+    found = json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert found == result_to_dict(result, **NAMES)
+    assert torch.equal(read_transform_text(path), result.T_target_source[0])
+    assert found["translation"] == result.T_target_source[0, :3, 3].tolist()
+    rotation = matrix_of(*(found["quaternion"][key] for key in "wxyz"))
+    np.testing.assert_allclose(rotation, result.T_target_source[0, :3, :3].numpy(), atol=1e-14)
+
+
+def test_fields():
+    found = result_to_dict(a_result(), **NAMES)
+    assert found["counts"] == {
+        "correspondences": 3,
+        "inliers": 2,
+        "hypotheses_drawn": 600,
+        "hypotheses_kept": 50,
+        "hypotheses_scored": 7,
+    }
+    assert (found["success"], found["reason"], found["notes"]) == (True, "", ["no colors"])
+    assert (found["seed"], found["source"], found["target"]) == (7, "a.ply", "b.ply")
+    assert (found["fitness"], found["inlier_rmse"]) == (0.75, 0.01)
+    assert found["options"]["ransac"]["hypotheses"] == 600_000
+    assert found["options"]["color_channels"] == ["hue"]
+    assert found["seconds"] == {"normals": 0.5, "ransac": None}
+    assert found["versions"]["torch"] == torch.__version__
+    assert found["versions"]["python"] == platform.python_version()
+    host = socket.gethostname()
+    assert host not in json.dumps(found) or host in platform.release()
+
+
+def test_a_failed_pair(tmp_path):
+    found = result_to_dict(a_result(), 1, **NAMES)
+    assert (found["success"], found["reason"], found["notes"]) == (False, "too few matches", [])
+    assert found["inlier_rmse"] is None
+    assert (found["counts"]["correspondences"], found["counts"]["inliers"]) == (2, 1)
+    assert found["quaternion"] == {"w": 1, "x": 0, "y": 0, "z": 0}
+    write_result_json(tmp_path / "r.json", a_result(), 1, **NAMES)
+    with pytest.raises(ValueError, match="a registration that succeeded, got one that failed"):
+        read_transform_text(tmp_path / "r.json")
+
+
+def test_refused(tmp_path):
+    for pair in (-1, 2):
+        with pytest.raises(ValueError, match=r"^pair: expected a number from 0 to 1, got "):
+            result_to_dict(a_result(), pair, **NAMES)
+    with pytest.raises(ValueError, match=r"^pair: "):
+        write_result_json(tmp_path / "r.json", a_result(), 2, **NAMES)
+    assert os.listdir(tmp_path) == []

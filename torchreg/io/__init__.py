@@ -1,0 +1,20 @@
+"""Clouds and results in and out: files, and Open3D's types."""
+
+from torchreg.io.open3d_clouds import from_open3d, to_open3d
+from torchreg.io.read import CloudFile, read_cloud, read_cloud_report
+from torchreg.io.result_json import result_to_dict, write_result_json
+from torchreg.io.transform_text import read_transform_text, write_transform_text
+from torchreg.io.write import write_cloud
+
+__all__ = [
+    "CloudFile",
+    "from_open3d",
+    "read_cloud",
+    "read_cloud_report",
+    "read_transform_text",
+    "result_to_dict",
+    "to_open3d",
+    "write_cloud",
+    "write_result_json",
+    "write_transform_text",
+]

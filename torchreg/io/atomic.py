@@ -1,0 +1,37 @@
+"""Files that are there in full or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from torchreg.errors import expect
+
+
+@contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a temporary file beside ``path`` and put it in its place once all is written.
+
+    Whoever looks at ``path`` sees the old content or the new, never a part. An error inside the block
+    removes the temporary file; a process that is killed leaves it behind as ``.NAME.XXXXXXXX.tmp``.
+
+    Raises:
+        ValueError: the folder does not exist, or ``path`` is one.
+    """
+    target = Path(os.path.realpath(path))
+    expect(target.parent.is_dir(), "path", "a file in a folder that exists", os.fspath(path))
+    expect(not target.is_dir(), "path", "a file", f"the folder {os.fspath(path)}")
+    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        with part.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, target)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise

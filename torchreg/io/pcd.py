@@ -1,0 +1,119 @@
+"""PCD 0.6 and 0.7: a header of fields, then the points as text, packed records or LZF-compressed columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchreg.io.checks import count_of, excerpt, refuse, require
+from torchreg.io.pcd_compressed import read_compressed
+from torchreg.io.raw_cloud import PACKED_COLORS, RawCloud, raw_from_columns
+from torchreg.io.table import Column, Columns, read_ascii, read_binary, surplus
+
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_TYPES = {("F", "4"), ("F", "8"), *((kind, size) for kind in "UI" for size in "1248")}
+_LONGEST_HEADER = 1 << 16  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class _Header:
+    encoding: str
+    columns: list[Column]
+    rows: int
+    viewpoint: NDArray[Any] | None
+    size: int  # bytes, up to the first point
+
+
+def read_pcd(path: Path) -> RawCloud:
+    """Read a PCD file. Its VIEWPOINT counts where the position is not the default zero.
+
+    Raises:
+        CloudFileError: not a PCD file, a header that is wrong or that promises more than the file holds,
+            no x, y, z, or no points.
+    """
+    with path.open("rb") as file:
+        header = _read_header(file, path)
+    require(header.rows > 0, path, "at least one point", "0")
+    notes: tuple[str, ...] = ()
+    if header.encoding == "ascii":
+        columns = read_ascii(path, header.columns, header.rows, header.size)
+        notes = _pack_text_colors(columns, header.columns)
+    elif header.encoding == "binary":
+        columns = read_binary(path, header.columns, header.rows, header.size)
+        notes = surplus(path, header.columns, header.rows, header.size)
+    else:
+        columns = read_compressed(path, header.columns, header.rows, header.size)
+    return raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.viewpoint, notes)
+
+
+def _read_header(file: BinaryIO, path: Path) -> _Header:
+    lines: dict[str, list[str]] = {}
+    while "DATA" not in lines:
+        line = file.readline(_LONGEST_HEADER)
+        words = line.decode("latin-1").split()
+        require(line.endswith(b"\n"), path, "a PCD header, which ends with a line 'DATA'", excerpt(line))
+        if not words or words[0].startswith("#"):
+            continue
+        key = "FIELDS" if words[0] == "COLUMNS" else words[0]
+        require(key in _KEYS and key not in lines, path, "a line of a PCD header", excerpt(line))
+        lines[key] = words[1:]
+        require(file.tell() < _LONGEST_HEADER, path, "a PCD header of a few lines", "64 KiB without 'DATA'")
+    encoding = " ".join(lines["DATA"])
+    known = ("ascii", "binary", "binary_compressed")
+    require(encoding in known, path, "DATA " + " or ".join(known), excerpt(encoding))
+    return _Header(encoding, _columns(lines, path), _rows(lines, path), _viewpoint(lines, path), file.tell())
+
+
+def _columns(lines: dict[str, list[str]], path: Path) -> list[Column]:
+    fields, sizes, types = (lines.get(key, []) for key in ("FIELDS", "SIZE", "TYPE"))
+    counts = lines.get("COUNT", ["1"] * len(fields))
+    lengths = [len(fields), len(sizes), len(types), len(counts)]
+    equal = len(fields) > 0 and len(set(lengths)) == 1
+    require(equal, path, "as many FIELDS as SIZE, TYPE, COUNT", str(lengths))
+    columns = []
+    for name, size, kind, text in zip(fields, sizes, types, counts, strict=True):
+        require((kind, size) in _TYPES, path, f"a TYPE and SIZE for {name} such as F 4", f"{kind} {size}")
+        count = count_of(text, path, f"the COUNT of {name}")
+        require(1 <= count <= 1 << 20, path, f"a COUNT of {name} from 1 to 2^20", text)
+        columns.append(Column(name, np.dtype(f"<{kind.lower()}{size}"), count))
+    return columns
+
+
+def _rows(lines: dict[str, list[str]], path: Path) -> int:
+    keys = [key for key in ("WIDTH", "HEIGHT", "POINTS") if key in lines]
+    found = {key: count_of(" ".join(lines[key]), path, key) for key in keys}
+    grid = found["WIDTH"] * found.get("HEIGHT", 1) if "WIDTH" in found else None
+    points = found.get("POINTS", grid)
+    if points is None:
+        refuse(path, "a line POINTS or WIDTH", "neither")
+    require(grid in (None, points), path, "POINTS equal to WIDTH times HEIGHT", f"{points} and {grid}")
+    return points
+
+
+def _viewpoint(lines: dict[str, list[str]], path: Path) -> NDArray[Any] | None:
+    words = lines.get("VIEWPOINT", ["0"] * 7)
+    try:
+        position = np.array([float(word) for word in words])[:3]
+    except ValueError:
+        position = np.zeros(0)
+    fits = len(words) == 7 and len(position) == 3 and bool(np.isfinite(position).all())
+    require(fits, path, "7 numbers after VIEWPOINT", excerpt(" ".join(words)))
+    return position if position.any() else None
+
+
+def _pack_text_colors(columns: Columns, declared: list[Column]) -> tuple[str, ...]:
+    """Give packed colors in text their four bytes back; "nan" has lost them and becomes black."""
+    dtypes = {column.name.lower(): column.dtype for column in declared}
+    lost = 0
+    for name in PACKED_COLORS:
+        if name in columns and dtypes[name].kind == "f":
+            values = columns[name]
+            known = np.isfinite(values)
+            lost += int((~known & np.isfinite(columns.get("x", values))).sum())
+            with np.errstate(over="ignore"):
+                columns[name] = np.where(known, values, 0).astype(dtypes[name].newbyteorder("="))
+    return (f"{lost} packed colors are no numbers and were made black",) * (lost > 0)

@@ -1,0 +1,120 @@
+"""PLY: a header of elements and their properties, then their rows, as text or in either byte order.
+
+Read here rather than by Open3D 0.20, whose tensor reader fills the rows that a truncated file lacks with
+zeros, leaves 16-bit colors out and writes past its buffers where x, y, z (or the colors) differ in type.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchreg.io.checks import count_of, excerpt, refuse, require
+from torchreg.io.raw_cloud import RawCloud, raw_from_columns
+from torchreg.io.table import Column, read_ascii, read_binary, record_dtype, surplus
+
+BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+VIEWPOINT_COMMENT = "viewpoint"  # "comment viewpoint x y z": where the scanner stood, written by write_cloud
+_LONGEST_HEADER = 1 << 20  # bytes
+_TYPES = {
+    **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
+    **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
+    **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
+}
+
+
+@dataclass
+class _Element:
+    name: str
+    rows: int
+    columns: list[Column] = field(default_factory=list)
+    has_list: bool = False
+
+
+@dataclass
+class _Header:
+    encoding: str = ""
+    elements: list[_Element] = field(default_factory=list)
+    viewpoint: NDArray[Any] | None = None
+    size: int = 0  # bytes, up to the first row
+
+
+def read_ply(path: Path) -> RawCloud:
+    """Read the element "vertex" of a PLY file; elements before it are skipped, those after it not looked at.
+
+    Raises:
+        CloudFileError: not a PLY file, a header that is wrong or that promises more than the file holds,
+            no x, y, z, no vertices, or lists among or (in a binary file) before the vertices.
+    """
+    with path.open("rb") as file:
+        header = _read_header(file, path)
+    names = [element.name for element in header.elements]
+    require("vertex" in names, path, "an element 'vertex' in its header", ", ".join(names) or "no element")
+    before = header.elements[: names.index("vertex")]
+    vertex = header.elements[len(before)]
+    require(vertex.rows > 0, path, "at least one vertex", "0")
+    require(not vertex.has_list, path, "vertices of single numbers", "a list property among them")
+    require(len(vertex.columns) > 0, path, "the properties x, y, z", "none")
+    notes: tuple[str, ...] = ()
+    if header.encoding == "ascii":
+        skip = sum(element.rows for element in before)
+        columns = read_ascii(path, vertex.columns, vertex.rows, header.size, skip)
+    else:
+        listed = next((element.name for element in before if element.has_list), None)
+        require(listed is None, path, "no lists before the vertices", f"the element {listed!r} with a list")
+        skip = sum(element.rows * record_dtype(element.columns).itemsize for element in before)
+        columns = read_binary(path, vertex.columns, vertex.rows, header.size + skip)
+        if vertex is header.elements[-1]:
+            notes = surplus(path, vertex.columns, vertex.rows, header.size + skip)
+    return raw_from_columns(str(path), f"ply {header.encoding}", columns, header.viewpoint, notes)
+
+
+def _read_header(file: BinaryIO, path: Path) -> _Header:
+    first = file.readline(80)
+    require(first.strip() == b"ply", path, "a PLY file, which starts with the line 'ply'", excerpt(first))
+    header = _Header()
+    while file.tell() < _LONGEST_HEADER:
+        line = file.readline(_LONGEST_HEADER)
+        words = line.decode("latin-1").split()
+        if not line.endswith(b"\n"):
+            break
+        if words == ["end_header"]:
+            require(header.encoding != "", path, "a line 'format' in its header", "none")
+            header.size = file.tell()
+            return header
+        _take_line(header, words, path)
+    return refuse(path, "a line 'end_header' in its first megabyte", "none")
+
+
+def _take_line(header: _Header, words: list[str], path: Path) -> None:
+    match words:
+        case [] | ["obj_info", *_]:
+            pass
+        case ["comment", word, *numbers] if word == VIEWPOINT_COMMENT and len(numbers) == 3:
+            header.viewpoint = _numbers(numbers)
+        case ["comment", *_]:
+            pass
+        case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS:
+            header.encoding = encoding
+        case ["element", name, rows]:
+            header.elements.append(_Element(name, count_of(rows, path, f"the number of elements {name!r}")))
+        case ["property", "list", _, _, _] if header.elements:
+            header.elements[-1].has_list = True
+        case ["property", kind, name] if kind in _TYPES and header.elements:
+            order = BYTE_ORDERS.get(header.encoding)
+            require(order is not None, path, "the line 'format' before the elements", "it comes later")
+            header.elements[-1].columns.append(Column(name, np.dtype(f"{order}{_TYPES[kind]}")))
+        case _:
+            refuse(path, "a line of a PLY 1.0 header", excerpt(" ".join(words)))
+
+
+def _numbers(words: list[str]) -> NDArray[Any] | None:
+    """The numbers of a comment; any other comment may start with the same word."""
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError:
+        return None

@@ -1,0 +1,118 @@
+"""A registration's result as JSON: what was found, with what, by which versions."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import sys
+from dataclasses import asdict
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchreg.errors import expect
+from torchreg.io.atomic import atomic_write
+from torchreg.io.quaternion import quaternion_wxyz
+from torchreg.types import RegistrationResult
+
+
+def result_to_dict(
+    result: RegistrationResult, pair: int = 0, *, seed: int, source: str, target: str
+) -> dict[str, object]:
+    """One pair of a result as plain numbers, texts and lists, ready for JSON.
+
+    Numbers that are not finite become ``None``. ``seconds`` are those of the whole batch.
+
+    Args:
+        result: of B pairs.
+        pair: which one, from 0 to B - 1.
+        seed: what the registration was run with.
+        source: name of the source cloud, as it should stand in the file.
+        target: name of the target cloud.
+
+    Returns:
+        The keys source, target, success, reason, notes, T_target_source (4 x 4), quaternion (w, x, y, z of
+        its rotation, w >= 0), translation (meters), fitness, inlier_rmse (meters), counts, seed, options,
+        seconds, versions.
+
+    Raises:
+        ValueError: ``pair`` is not one of the result's.
+    """
+    expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
+    T = result.T_target_source[pair].detach().cpu()  # (4, 4)
+    begin, end = result.correspondences.offsets[pair : pair + 2].tolist()
+    quaternion = quaternion_wxyz(T[:3, :3]).tolist()
+    counts = {f"hypotheses_{key}": int(value[pair]) for key, value in result.hypotheses._asdict().items()}
+    found = {
+        "source": source,
+        "target": target,
+        "success": bool(result.success[pair]),
+        "reason": result.reason[pair],
+        "notes": result.notes[pair] if result.notes else (),
+        "T_target_source": T.tolist(),
+        "quaternion": dict(zip("wxyz", quaternion, strict=True)),
+        "translation": T[:3, 3].tolist(),
+        "fitness": float(result.fitness[pair]),
+        "inlier_rmse": float(result.inlier_rmse[pair]),
+        "counts": {
+            "correspondences": end - begin,
+            "inliers": int(result.inliers[begin:end].sum()),
+            **counts,
+        },
+        "seed": seed,
+        "options": asdict(result.options[pair]) if result.options else None,
+        "seconds": dict(result.seconds),
+        "versions": versions(),
+    }
+    return {key: _plain(value) for key, value in found.items()}
+
+
+def write_result_json(
+    path: str | os.PathLike[str],
+    result: RegistrationResult,
+    pair: int = 0,
+    *,
+    seed: int,
+    source: str,
+    target: str,
+) -> None:
+    """Write ``result_to_dict`` of these arguments to a file, in full or not at all.
+
+    Raises:
+        ValueError: ``pair`` is not one of the result's, or the folder does not exist.
+    """
+    found = result_to_dict(result, pair, seed=seed, source=source, target=target)
+    with atomic_write(path) as file:
+        file.write((json.dumps(found, indent=2, allow_nan=False) + "\n").encode())
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of what takes part; Open3D's is ``None`` as long as nothing has loaded it."""
+    try:
+        own = metadata.version("torchreg-pointcloud")
+    except metadata.PackageNotFoundError:
+        own = "not installed"
+    open3d = sys.modules.get("open3d")
+    return {
+        "torchreg": own,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "open3d": getattr(open3d, "__version__", None),
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.release()} {platform.machine()}",
+    }
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    """Lists for tuples and ``None`` for numbers that are not finite, all the way down."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
