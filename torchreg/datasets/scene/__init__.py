@@ -1,0 +1,1 @@
+"""What simulated scenes are made of, and the scanner that sees them."""
