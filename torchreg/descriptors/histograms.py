@@ -29,8 +29,9 @@ def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:
 
 def inverse_square_weights(sq_distance: Tensor, counted: Tensor) -> Tensor:
     """1/d^2 (R, K) where ``counted`` and d > 0, else 0; never infinite or NaN."""
-    usable = counted & (sq_distance > 0)
-    return torch.where(usable, sq_distance, torch.ones_like(sq_distance)).reciprocal() * usable
+    usable = (sq_distance > 0).logical_and_(counted)
+    tiny = torch.finfo(sq_distance.dtype).tiny  # its reciprocal is finite, and times zero it is zero
+    return sq_distance.clamp(min=tiny).reciprocal_().mul_(usable)
 
 
 def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:

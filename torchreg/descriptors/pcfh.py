@@ -74,8 +74,8 @@ def difference_bins(query: Tensor, neighbor: Tensor, bins: int, *, circular: boo
     """Bin (int64) of the difference of two values in [0, 1]; ``circular`` for hue."""
     difference = (neighbor - query).abs_()
     if circular:
-        difference = torch.minimum(difference, 1 - difference).mul_(2)
-    return difference.mul_(bins).long().clamp_(max=bins - 1)
+        return torch.minimum(difference, 1 - difference).mul_(2 * bins).clamp_(max=bins - 1).long()
+    return difference.mul_(bins).clamp_(max=bins - 1).long()
 
 
 def _own_histograms(

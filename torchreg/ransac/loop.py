@@ -13,7 +13,7 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.neighbors.coverage import coverage
 from torchreg.ransac.sampling import base_seed, pair_seed
 from torchreg.ransac.search import Found, search
-from torchreg.ransac.verdict import refusal
+from torchreg.ransac.verdict import log10_false_alarms, refusal
 from torchreg.types import Clouds, Correspondences, HypothesisCounts, RansacOptions, RegistrationResult
 from torchreg.types.packing import spans
 
@@ -95,9 +95,14 @@ def _register_pair(
     near = coverage(source.select(b).points, target.select(b).points, R, t, options.inlier_threshold)
     outcome.fitness, outcome.inlier_rmse = float(near.fitness), float(near.inlier_rmse)
     outcome.T = rigid(R, t + target.origin[b] - apply_rotation(R, source.origin[b]))
-    outcome.reason = refusal(
-        int(found.best.support), options.sample_size, found.scored, apply_rotation(R, p) + t, q, options.inlier_threshold
+    alarms = log10_false_alarms(
+        apply_rotation(R, p) + t,
+        q,
+        options.inlier_threshold,
+        sample_size=options.sample_size,
+        scored=found.scored,
     )
+    outcome.reason = refusal(int(found.best.support), end - begin, alarms)
     return outcome
 
 

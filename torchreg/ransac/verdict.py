@@ -1,13 +1,16 @@
 """Whether the agreement of the winner is more than chance gives.
 
 The a-contrario test of Moisan and Stival (IJCV 57(3), 2004, doi:10.1023/B:VISI.0000013094.38752.54): were the
-matches unrelated to the transform, each would be an inlier with a probability q. The expected number of
-hypotheses with as many inliers as the winner, the number of false alarms, is then
+matches unrelated to the transform, each would come within a distance e with a probability q(e). The expected
+number of hypotheses under which as many do, the number of false alarms, is then
 
-    NFA = scored hypotheses x P(Binomial(M - s, q) >= inliers - s)
+    NFA(e) = tests x P(Binomial(M - s, q(e)) >= k(e) - s)
 
-for M matches and samples of s (which fit by construction). q is measured on the pair itself: how often a match's
-source point falls near some *other* match's target point under the transform.
+for M matches, k(e) of them within e, and samples of s (which fit by construction). ``tests`` counts the scored
+hypotheses, at most one per distinct sample, and the distances e that are tried: the inlier threshold and finer
+ones, since a tight agreement of few says as much as a loose one of many. q is measured on the pair itself: how
+often a match's source point falls near some *other* match's target point under the transform; it is taken to
+shrink with the square of e, as on surfaces.
 """
 
 from __future__ import annotations
@@ -19,33 +22,45 @@ from torch import Tensor
 
 from torchreg.geometry.chunks import row_chunks
 
-LOG10_FALSE_ALARMS = -6.0
-"""The most that is accepted. Neighboring points match neighboring points, so matches agree more than
+LOG10_FALSE_ALARMS = -12.0
+"""The most that is accepted. Neighboring points match neighboring points, so matches agree more often than
 independent ones would; that is what the distance from 0 allows for."""
 
+_FINER = tuple(2 ** (-j / 2) for j in range(9))
 _SAMPLE = 2000
 _TERMS = 500
 
 
-def refusal(support: int, sample_size: int, scored: int, source: Tensor, target: Tensor, threshold: float) -> str:
-    """Why the winner may not be called a success, or an empty text.
+def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, sample_size: int, scored: int) -> float:
+    """The expected number of hypotheses by chance that agree as well as this one, as a power of ten.
 
     Args:
-        support: inliers of the winner.
-        sample_size: correspondences of a minimal sample.
-        scored: hypotheses that were scored.
         source: (M, 3) matched points under the transform, meters, float64.
         target: (M, 3).
         threshold: meters, of an inlier.
+        sample_size: correspondences of a minimal sample.
+        scored: hypotheses that were scored.
     """
     count = len(source)
     chance = chance_rate(source, target, threshold)
-    alarms = math.log10(max(1, scored)) + log10_binomial_tail(count - sample_size, support - sample_size, chance)
+    difference = (source - target).t()
+    square = difference[0] * difference[0] + difference[1] * difference[1] + difference[2] * difference[2]
+    limits = [scale * scale * threshold * threshold for scale in _FINER]
+    tests = len(_FINER) * max(1, min(scored, math.comb(count, sample_size)))
+    tails = [
+        log10_binomial_tail(count - sample_size, int((square < limit).sum()) - sample_size, chance * scale * scale)
+        for scale, limit in zip(_FINER, limits, strict=True)
+    ]
+    return math.log10(tests) + min(tails)
+
+
+def refusal(support: int, matches: int, alarms: float) -> str:
+    """Why a winner with so many inliers and false alarms (log10) is no success, or an empty text."""
     if alarms <= LOG10_FALSE_ALARMS:
         return ""
     return (
-        f"no consensus: {support} of {count} matches agree, too few to tell from chance "
-        f"(10^{alarms:.1f} expected by chance, at most 10^{LOG10_FALSE_ALARMS:.0f} is accepted)"
+        f"no consensus: {support} of {matches} matches agree, too few to tell from chance "
+        f"(10^{alarms:.1f} such agreements expected by chance, at most 10^{LOG10_FALSE_ALARMS:.0f} is accepted)"
     )
 
 
