@@ -57,15 +57,17 @@ def _match_pair(
     left, right = source.values[of_source], target.values[of_target]
     if len(left) == 0 or len(right) == 0:
         return of_source[:0], of_target[:0], left.new_zeros(0)
-    forth = feature_nearest(left, right)
-    keep = torch.ones_like(forth.row, dtype=torch.bool)
+    forth = feature_nearest(left, right, exact_second=ratio is not None)
+    keep = forth.contended
     if ratio is not None:
-        keep = forth.distance < ratio * forth.second
-    # only targets that are somebody's nearest can be mutual
-    wanted, number = forth.row.unique(return_inverse=True)
+        keep = keep & (forth.distance < ratio * forth.second)
+    rows = keep.nonzero()[:, 0]
+    # back from the targets of those rows alone: the others cannot be mutual
+    wanted, number = forth.row[rows].unique(return_inverse=True)
+    if len(rows) == 0:
+        return of_source[:0], of_target[:0], left.new_zeros(0)
     back = feature_nearest(right[wanted], left).row
-    rows = torch.arange(len(left), device=left.device)
-    kept = ((back[number] == rows) & keep).nonzero()[:, 0]
+    kept = rows[back[number] == rows]
     return of_source[kept], of_target[forth.row[kept]], forth.distance[kept].to(left.dtype)
 
 
