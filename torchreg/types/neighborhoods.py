@@ -18,10 +18,10 @@ class Neighborhoods:
     its place, since a duplicate of the point may come first.
 
     Attributes:
-        index: (P, K) int64, global rows of the packed batch, always legal to gather (the query's own row
-            where ``valid`` is false).
+        index: (P, K) int64, global rows of the packed batch, legal to gather also where ``valid`` is false.
         valid: (P, K) bool; true slots come first.
-        sq_distance: (P, K) squared meters, zero where ``valid`` is false.
+        sq_distance: (P, K) squared meters, finite also where ``valid`` is false. What stands in such slots
+            means nothing; consumers mask it.
     """
 
     index: Tensor
