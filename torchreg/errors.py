@@ -58,6 +58,14 @@ def positive(value: float, name: str) -> float:
     return float(value)
 
 
+def fraction(value: float, name: str, *, zero: bool = False) -> float:
+    """Return ``value`` if it is a number in (0, 1], or in [0, 1] where ``zero`` is allowed, else raise ``ValueError``."""
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    legal = number and (0 <= value <= 1 if zero else 0 < value <= 1)
+    expect(legal, name, "a number in [0, 1]" if zero else "a number in (0, 1]", value)
+    return float(value)
+
+
 def at_least(value: int, name: str, least: int) -> int:
     """Return ``value`` if it is an integer of at least ``least``, else raise ``ValueError``."""
     whole = isinstance(value, int) and not isinstance(value, bool)

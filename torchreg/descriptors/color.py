@@ -99,7 +99,10 @@ def joint_color_values(source: Clouds, target: Clouds) -> tuple[Tensor, Tensor]:
 
 
 def colors_of(clouds: Clouds) -> Tensor:
-    """The colors, or a ``ValueError`` that says they are missing."""
+    """The colors, or a ``ValueError`` that says they are missing or not finite."""
     if clouds.colors is None:
         raise ValueError("cloud: expected colors, got none")
+    broken = ~torch.isfinite(clouds.colors).all(dim=1)
+    if bool(broken.any()):
+        raise ValueError(f"colors: expected finite numbers, got {int(broken.sum())} points without")
     return clouds.colors

@@ -62,7 +62,8 @@ def fpfh(cloud: Clouds, near: Neighborhoods, *, mode: str = "open3d", binning: s
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
     """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
-    columns = [column.contiguous() for column in (*points.unbind(1), *normals.unbind(1))]
+    wide = (*points.detach().double().unbind(1), *normals.detach().double().unbind(1))  # see pair_features
+    columns = [column.contiguous() for column in wide]
     out = points.new_empty(len(points), FPFH_SIZE)
     for rows in row_chunks(len(points), near.max_neighbors):
         counted = neighbor_votes(near.index, near.valid, rows)

@@ -37,7 +37,7 @@ def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Featu
         values,
         first.offsets,
         tuple(block for item in features for block in item.blocks),
-        valid=torch.stack([item.valid for item in features]).any(dim=0),
+        valid=torch.stack([item.valid for item in features]).any(dim=0) & (values != 0).any(dim=1),
     )
 
 

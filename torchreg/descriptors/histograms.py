@@ -30,8 +30,9 @@ def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:
 def inverse_square_weights(sq_distance: Tensor, counted: Tensor) -> Tensor:
     """1/d^2 (R, K) where ``counted`` and d > 0, else 0; never infinite or NaN."""
     usable = (sq_distance > 0).logical_and_(counted)
-    tiny = torch.finfo(sq_distance.dtype).tiny  # its reciprocal is finite, and times zero it is zero
-    return sq_distance.clamp(min=tiny).reciprocal_().mul_(usable)
+    # far below any distance between points, and sums of reciprocals stay finite
+    least = torch.finfo(sq_distance.dtype).tiny ** 0.75
+    return sq_distance.clamp(min=least).reciprocal_().mul_(usable)
 
 
 def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:

@@ -10,8 +10,10 @@ with the line d takes the first place):
 
 Where L = 0 or d is parallel to n1, all three are zero.
 
-With A = n1.d, B = n2.d, C = n1.n2 the exchange needs no vectors to change places: d x n1 is the shorter of
-the two cross products, v.n2 |d x n1| = det(d, n1, n2) either way, and w.n2 |d x n1| = B - A C or B C - A.
+Between almost parallel normals |a1| and |a2| differ by less than the rounding of float32, and the exchange turns
+the sign of f3. One pair decided the other way shows in the histograms of all its neighbors: with these features
+in float32, up to 5 % of the rows of a real scan were off. So whoever counts votes hands over float64. The steps
+are Open3D's, in its order of operations, so that rounding decides alike where only rounding decides.
 """
 
 from __future__ import annotations
@@ -60,41 +62,33 @@ class PairFeatures(NamedTuple):
 
 
 def pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
-    """Pair features of query points (R, 1) and their neighbors (R, K).
+    """Pair features of query points (R, 1) and their neighbors (R, K), in the dtype that comes in.
 
-    Only IEEE basic operations, so that chunking and threads leave the bits alone. Degenerate pairs give
-    exact zeros. No gradients are meant to flow here: this is the kernel of the hard histogram.
+    Only elementwise operations, so that chunking and threads leave the bits alone. Degenerate pairs give exact
+    zeros. No gradients are meant to flow here: this is the kernel of the hard histogram.
     """
-    dx, dy, dz = neighbor.x - query.x, neighbor.y - query.y, neighbor.z - query.z
-    A = query.nx * dx + query.ny * dy + query.nz * dz
-    B = neighbor.nx * dx + neighbor.ny * dy + neighbor.nz * dz
-    C = query.nx * neighbor.nx + query.ny * neighbor.ny + query.nz * neighbor.nz
-    vx, vy, vz = (
-        dy * query.nz - dz * query.ny,
-        dz * query.nx - dx * query.nz,
-        dx * query.ny - dy * query.nx,
-    )
-    ux, uy, uz = (
-        dy * neighbor.nz - dz * neighbor.ny,
-        dz * neighbor.nx - dx * neighbor.nz,
-        dx * neighbor.ny - dy * neighbor.nx,
-    )
-    triple = vx * neighbor.nx + vy * neighbor.ny + vz * neighbor.nz
-    length = (dx * dx + dy * dy + dz * dz).sqrt()
-    across = torch.minimum(vx * vx + vy * vy + vz * vz, ux * ux + uy * uy + uz * uz).sqrt()
+    d = _difference(neighbor[:3], query[:3])
+    n_query, n_neighbor = query[3:], neighbor[3:]
+    length = _dot(d, d).sqrt_()
+    length += length.clone().eq_(0)
+    a1, a2 = _dot(n_query, d).div_(length), _dot(n_neighbor, d).div_(length)
+    swap = a1.abs().lt_(a2.abs())  # 1 or 0, with which lerp gives one end or the other exactly, and fast
+    n1 = _choose(n_query, n_neighbor, swap)
+    n2 = _choose(n_neighbor, n_query, swap)
 
-    swap = (A.abs() < B.abs()).to(A.dtype)
-    stay = 1 - swap
-    first = A * stay - B * swap  # n1.d after the exchange
-    second = B * stay - A * swap  # n2.d after the exchange
-    proper = (across > 0).to(A.dtype)
-    across = across + (1 - proper)
-    length = length + (length == 0)
+    v = _cross(d, n1)
+    across = _dot(v, v).sqrt_()
+    proper = across.clone().gt_(0)
+    across += 1 - proper
+    for column in v:
+        column.div_(across)
+    w = _cross(n1, v)
+    sign = (1 - 2 * swap).mul_(proper)  # d, v and w turn round with the exchange
     return PairFeatures(
-        cosine=C * proper + (1 - proper),
-        sine=(second - first * C) / across * proper,
-        f2=triple / across * proper,
-        f3=first / length * proper,
+        cosine=_dot(n_query, n_neighbor).mul_(proper).add_(1 - proper),
+        sine=_dot(w, n2).mul_(sign),
+        f2=_dot(v, n2).mul_(sign),
+        f3=torch.lerp(a1, a2, swap).mul_(sign),
     )
 
 
@@ -110,3 +104,26 @@ def angle_bins(cosine: Tensor, sine: Tensor) -> Tensor:
 def unit_bins(value: Tensor) -> Tensor:
     """Bin 0..10 (int64) of a value in [-1, 1] in 11 equal bins; 1 falls into the last."""
     return ((value + 1) * ANGLE_BINS).mul_(0.5).floor_().clamp_(0, ANGLE_BINS - 1).long()
+
+
+_Vector = tuple[Tensor, ...]
+
+
+def _difference(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _dot(a: _Vector, b: _Vector) -> Tensor:
+    return (a[0] * b[0]).add_(a[1] * b[1]).add_(a[2] * b[2])
+
+
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return (
+        (a[1] * b[2]).sub_(a[2] * b[1]),
+        (a[2] * b[0]).sub_(a[0] * b[2]),
+        (a[0] * b[1]).sub_(a[1] * b[0]),
+    )
+
+
+def _choose(stay: _Vector, exchanged: _Vector, swap: Tensor) -> _Vector:
+    return tuple(torch.lerp(a, b, swap) for a, b in zip(stay, exchanged, strict=True))

@@ -39,6 +39,8 @@ def stable_sum(values: Tensor) -> Tensor:
         (...) of the same dtype; zeros for M = 0. Gradients flow.
     """
     count = values.shape[0]
+    if count == 0:
+        return values.sum(dim=0)
     columns = values.reshape(count, -1).t()  # (C, M)
     blocks = max(1, -(-count // _BLOCK))
     padded = torch.nn.functional.pad(columns, (0, blocks * _BLOCK - count))

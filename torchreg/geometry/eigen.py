@@ -24,10 +24,11 @@ def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         values (..., 3) ascending, and vectors (..., 3, 3) whose columns are unit eigenvectors in that order
-        (sign left open). Zero and non-finite matrices give the identity or NaN, never an error. Gradients
-        flow, but are not defined where eigenvalues coincide.
+        (sign left open). Zero and non-finite matrices give the identity or NaN, never an error. No gradients
+        flow: the iteration is not meant to be differentiated.
     """
     expect(matrix.shape[-2:] == (3, 3), "matrix", "(..., 3, 3)", matrix)
+    matrix = matrix.detach()
     a = {(i, j): matrix[..., i, j] for i in range(3) for j in range(i, 3)}
     one, zero = torch.ones_like(a[0, 0]), torch.zeros_like(a[0, 0])
     v = [[one if i == j else zero for j in range(3)] for i in range(3)]

@@ -51,8 +51,8 @@ def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
         The clouds in frames "to", with an origin each of R origin + t, so that points stay small numbers.
     """
     T = T_to_from.to(device=clouds.device, dtype=torch.float64)
-    T = T.expand(len(clouds), 4, 4) if T.ndim == 2 else T
-    expect_shape(T, "T_to_from", (len(clouds), 4, 4))
+    expect(T.shape in ((4, 4), (len(clouds), 4, 4)), "T_to_from", f"(4, 4) or ({len(clouds)}, 4, 4)", T_to_from)
+    T = T.expand(len(clouds), 4, 4)
 
     def rotated(values: Tensor | None) -> Tensor | None:
         if values is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect
+from torchreg.errors import expect, fraction
 from torchreg.matching.nearest import feature_nearest
 from torchreg.types import Correspondences, Features
 from torchreg.types.packing import offsets_of, spans
@@ -35,7 +35,8 @@ def match_mutual(source: Features, target: Features, *, ratio: float | None = No
         f"features of width {source.values.shape[1]}, {source.values.dtype}",
         target.values,
     )
-    expect(ratio is None or 0 < ratio <= 1, "ratio", "a number in (0, 1]", ratio)
+    if ratio is not None:
+        fraction(ratio, "ratio")
     parts = [
         _match_pair(source, target, i, k, ratio)
         for i, k in zip(spans(source.offsets), spans(target.offsets), strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect_shape, positive
+from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.metrics.overlap import relative_transform
 from torchreg.types import Clouds, Correspondences
@@ -43,4 +43,5 @@ def inlier_ratio(
 def feature_match_recall(inlier_ratios: Tensor, least: float = 0.05) -> Tensor:
     """Share of pairs whose inlier ratio (B,) exceeds ``least`` (0.05 in PPFNet, CVPR 2018), a scalar."""
     expect_shape(inlier_ratios, "inlier_ratios", ("B",))
+    expect(len(inlier_ratios) > 0, "inlier_ratios", "at least one pair", inlier_ratios)
     return (inlier_ratios > least).double().mean()

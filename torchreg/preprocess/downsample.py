@@ -175,6 +175,6 @@ def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tenso
         # rows of one voxel are added one after another, in their order, by a single thread
         total = torch.zeros(len(count), 3, dtype=torch.float64, device=values.device)
         total.index_add_(0, number, values[begin:end].double()[order])
-        return total / divisor
+        return total.div_(divisor)
 
     return mean(cloud.points), mean(cloud.colors), mean(cloud.normals)

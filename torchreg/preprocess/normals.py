@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect
 from torchreg.geometry.chunks import row_chunks, stable_sum
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.types import Clouds, Neighborhoods
@@ -38,8 +38,8 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     """
     expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
     if viewpoint is not None:
-        viewpoint = viewpoint.expand(len(cloud), 3) if viewpoint.ndim == 1 else viewpoint
-        expect_shape(viewpoint, "viewpoint", (len(cloud), 3))
+        expect(viewpoint.shape in ((3,), (len(cloud), 3)), "viewpoint", f"(3,) or ({len(cloud)}, 3)", viewpoint)
+        viewpoint = viewpoint.expand(len(cloud), 3)
     towards = _facing(cloud, cloud.viewpoint if viewpoint is None else viewpoint)
     normals = torch.empty_like(cloud.points)
     x, y, z = (column.contiguous() for column in cloud.points.unbind(1))

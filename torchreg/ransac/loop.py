@@ -74,11 +74,12 @@ def _register_pair(
     if end - begin < options.sample_size:
         outcome.reason = f"too few matches: {end - begin}, and a sample needs {options.sample_size}"
         return outcome
-    rows_p, rows_q = matches.source[begin:end], matches.target[begin:end]
-    p, q = source.points[rows_p].double(), target.points[rows_q].double()  # (M, 3)
-    if not bool((torch.isfinite(p) & torch.isfinite(q)).all()):
+    one, other = source.select(b).points, target.select(b).points
+    if not bool(torch.isfinite(one).all() & torch.isfinite(other).all()):
         outcome.reason = "points that are not finite"
         return outcome
+    rows_p, rows_q = matches.source[begin:end], matches.target[begin:end]
+    p, q = source.points[rows_p].double(), target.points[rows_q].double()  # (M, 3)
     center_p, center_q = stable_sum(p) / len(p), stable_sum(q) / len(q)
     own = pair_seed(seed, rows_p - int(source.offsets[b]), rows_q - int(target.offsets[b]))
     found = search((p - center_p).t().contiguous(), (q - center_q).t().contiguous(), options, own)
@@ -92,7 +93,7 @@ def _register_pair(
     R = found.best.rotation[..., 0]
     t = found.best.translation[:, 0] + center_q - apply_rotation(R, center_p)
     outcome.inliers = found.best.inliers[0]
-    near = coverage(source.select(b).points, target.select(b).points, R, t, options.inlier_threshold)
+    near = coverage(one, other, R, t, options.inlier_threshold)
     outcome.fitness, outcome.inlier_rmse = float(near.fitness), float(near.inlier_rmse)
     outcome.T = rigid(R, t + target.origin[b] - apply_rotation(R, source.origin[b]))
     alarms = log10_false_alarms(

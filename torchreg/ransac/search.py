@@ -102,12 +102,18 @@ class _Pool:
         self.rotation, self.translation, self.key = rotation[..., top], translation[..., top], key[top]
 
     def all(self) -> tuple[Tensor, Tensor]:
-        """Rotations (3, 3, F) and translations (3, F), best first."""
-        return self.rotation, self.translation
+        """Rotations (3, 3, F), made orthonormal to float64, and translations (3, F), best first."""
+        return _orthonormal(self.rotation), self.translation
 
     def leader(self) -> tuple[Tensor, Tensor]:
         """The first of them."""
-        return self.rotation[..., :1], self.translation[..., :1]
+        return _orthonormal(self.rotation[..., :1]), self.translation[..., :1]
+
+
+def _orthonormal(rotation: Tensor) -> Tensor:
+    """The nearest rotations to (3, 3, F) matrices that are rotations up to the rounding of a proposal."""
+    u, _, vh = torch.linalg.svd(rotation.permute(2, 0, 1))
+    return (u @ vh).permute(1, 2, 0)
 
 
 def _proposal_dtype(source: Tensor, target: Tensor, threshold: float) -> torch.dtype:

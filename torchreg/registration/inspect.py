@@ -55,6 +55,8 @@ def _defect(cloud: Clouds, name: str) -> str:
     finite = torch.isfinite(points).all(dim=1)
     if not bool(finite.all()):
         return f"points that are not finite: {int((~finite).sum())} of {len(points)} in the {name}"
+    if cloud.colors is not None and not bool(torch.isfinite(cloud.colors).all()):
+        return f"colors that are not finite in the {name}"
     centered = (points - points[:1]).double()
     if not bool((centered != 0).any()):
         return f"a degenerate cloud: all {len(points)} points of the {name} coincide"

@@ -89,6 +89,8 @@ def _options_of_pairs(
         return derive_options(source, target)
     if isinstance(options, RegistrationOptions):
         return (options,) * len(source)
+    listed = isinstance(options, Sequence) and all(isinstance(option, RegistrationOptions) for option in options)
+    expect(listed, "options", "RegistrationOptions, one per pair or one for all", options)
     per_pair = tuple(options)
     expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
     for option in per_pair[1:]:

@@ -121,7 +121,7 @@ def _thinning_voxel(cloud: Clouds) -> float:
     low, high = extent / 2**20, extent
     for _ in range(_BISECTIONS):
         middle = (low * high) ** 0.5
-        grid = (points / middle).long()  # at most 2^20 cells a side: three fit into 62 bits
+        grid = (points / middle + 0.5).long()  # as voxel_downsample cuts; at most 2^20 cells a side: three fit into 62 bits
         occupied = len(torch.unique((grid[:, 0] << 42) + (grid[:, 1] << 21) + grid[:, 2]))
         low, high = (middle, high) if occupied > THINNED_POINTS else (low, middle)
     return high

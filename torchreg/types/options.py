@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from torchreg.errors import at_least, expect, one_of, positive
+from torchreg.errors import at_least, expect, fraction, one_of, positive
 
 EQUALIZATIONS = ("none", "cloud", "joint")
 COLOR_BLOCKS = ("pcfh", "contrast")
@@ -35,8 +35,8 @@ class RansacOptions:
 
     def __post_init__(self) -> None:
         at_least(self.hypotheses, "hypotheses", 1)
-        expect(0 < self.confidence <= 1, "confidence", "a number in (0, 1]", self.confidence)
-        expect(0 <= self.edge_similarity <= 1, "edge_similarity", "a number in [0, 1]", self.edge_similarity)
+        fraction(self.confidence, "confidence")
+        fraction(self.edge_similarity, "edge_similarity", zero=True)
         positive(self.inlier_threshold, "inlier_threshold")
         at_least(self.sample_size, "sample_size", 3)
         at_least(self.local_optimization, "local_optimization", 0)
@@ -105,4 +105,4 @@ class RegistrationOptions:
             one_of(channel, "color_channels", ("hue", "saturation", "value"))
         expect(len(self.color_channels) > 0, "color_channels", "at least one channel", self.color_channels)
         if self.ratio is not None:
-            expect(0 < self.ratio <= 1, "ratio", "a number in (0, 1]", self.ratio)
+            fraction(self.ratio, "ratio")

@@ -1,0 +1,158 @@
+"""``torchreg register``: what it writes, what it prints, and its exit code."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import torchreg as tr
+from torchreg.io import read_transform_text
+
+
+def test_all_outputs_of_a_good_pair(run, room, tmp_path):
+    outputs = {name: tmp_path / name for name in ("result.json", "T.txt", "aligned.ply", "picture.png")}
+    result = run(
+        *("register", room.source, room.target, "--truth", room.truth, "--json", outputs["result.json"]),
+        *("--transform", outputs["T.txt"], "--aligned", outputs["aligned.ply"], "--figure", outputs["picture.png"]),
+    )
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
+
+    found = json.loads(outputs["result.json"].read_text(), parse_constant=pytest.fail)
+    assert (found["success"], found["reason"], found["seed"]) == (True, "", 0)
+    T = torch.tensor(found["T_target_source"], dtype=torch.float64)
+    truth = read_transform_text(room.truth)
+    assert tr.metrics.rre(truth, T) < 1.5
+    assert tr.metrics.rte(truth, T) < 0.1
+    assert found["truth"]["rre_degrees"] == pytest.approx(float(tr.metrics.rre(truth, T)))
+    assert found["truth"]["rte_meters"] == pytest.approx(float(tr.metrics.rte(truth, T)))
+    assert found["truth"]["rmse_meters"] < 0.1
+    assert found["run"] == {"preset": "default", "points": None, "viewpoint": "auto", "device": "cpu"}
+    assert torch.equal(read_transform_text(outputs["T.txt"]), T)
+    np.testing.assert_array_equal(np.loadtxt(outputs["T.txt"]), T.numpy())
+
+    source, aligned = tr.read_cloud(room.source), tr.read_cloud(outputs["aligned.ply"])
+    assert found["points"]["source"] == {"in_file": len(source.points), "used": len(source.points)}
+    torch.testing.assert_close(aligned.points, tr.transform(source, T).points + T[:3, 3].float(), atol=1e-4, rtol=0)
+    assert torch.equal(aligned.colors, source.colors)
+
+
+def test_table_says_what_was_found(run, room):
+    result = run("register", room.source, room.target, "--truth", room.truth)
+    for words in ("inlier threshold", "FPFH", "hypotheses", "fitness", "inlier_rmse", "T_target_source", "RRE", "RMSE"):
+        assert words in result.stdout
+    assert result.stdout.rstrip().endswith("registered")
+    assert "not registered" not in result.stdout
+    assert room.source in result.stdout.replace("\n", "")
+    assert "0.000000000 0.000000000" in " ".join(result.stdout.split())
+    assert result.stderr == ""
+
+
+def test_json_on_standard_output_stands_alone(run, room):
+    result = run("register", room.source, room.target, "--json", "-", "--seed", "5")
+    found = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert (found["seed"], found["success"], found["truth"]) == (5, True, None)
+    assert found["versions"]["torchreg"]
+    assert "registered" in result.stderr
+
+
+def test_the_same_seed_gives_the_same_result(run, room):
+    def transform(seed):
+        found = run("register", room.source, room.target, "--json", "-", "--seed", seed, "--points", "3000")
+        return json.loads(found.stdout)
+
+    first, again, other = transform("1"), transform("1"), transform("2")
+    assert first["T_target_source"] == again["T_target_source"]
+    assert first["T_target_source"] != other["T_target_source"]
+    assert first["points"]["source"]["used"] == 3000
+
+
+def test_options_stand_over_the_preset(run, room):
+    lengths = [
+        "--normal-radius",
+        "0.3",
+        "--feature-radius",
+        "0.6",
+        "--color-radius",
+        "0.5",
+        "--inlier-threshold",
+        "0.11",
+    ]
+    words = [*lengths, "--hypotheses", "9000", "--confidence", "1", "--no-color", "--preset", "paper"]
+    found = json.loads(run("register", room.source, room.target, "--json", "-", *words).stdout)
+    options = found["options"]
+    assert (options["normal_radius"], options["feature_radius"], options["color_radius"]) == (0.3, 0.6, 0.5)
+    assert (options["ransac"]["inlier_threshold"], options["ransac"]["confidence"]) == (0.11, 1)
+    assert found["counts"]["hypotheses_drawn"] <= 9000 == options["ransac"]["hypotheses"]
+    assert (options["color"], options["color_weights"], options["voxel_size"]) == ([], [], None)
+    assert options["feature_max_neighbors"] == tr.PAPER.feature_max_neighbors
+
+
+def test_voxel_sets_the_scale_of_what_is_not_given(run, room):
+    def options(*words):
+        return json.loads(run("register", room.source, room.target, "--json", "-", *words).stdout)["options"]
+
+    fine, coarse = options(), options("--voxel", "0.3", "--inlier-threshold", "0.2")
+    assert coarse["voxel_size"] == 0.3
+    assert coarse["ransac"]["inlier_threshold"] == 0.2
+    assert 0.4 < coarse["normal_radius"] < 0.9  # twice the spacing, which is about the voxel's edge
+    assert coarse["normal_radius"] > 1.5 * fine["normal_radius"]
+
+
+def test_viewpoint_is_handed_to_the_reader(run, room):
+    result = run("register", room.source, room.target, "--viewpoint", "none")
+    assert "no viewpoint for the source" in result.stdout
+    assert "no viewpoint" not in run("register", room.source, room.target, "--viewpoint", "1,2,0.5").stdout
+
+
+def test_threads(run, room):
+    before = torch.get_num_threads()
+    try:
+        run("register", room.source, room.target, "--threads", "1")
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_a_failed_registration_says_why_and_writes_no_transform(run, room, cloud_file, tmp_path):
+    line = cloud_file("line.ply", torch.linspace(0, 5, 200)[:, None] * torch.tensor([1.0, 2.0, 0.5]))
+    outputs = {name: tmp_path / name for name in ("r.json", "T.txt", "a.ply", "p.png")}
+    result = run(
+        *("register", line, room.target, "--json", outputs["r.json"], "--transform", outputs["T.txt"]),
+        *("--aligned", outputs["a.ply"], "--figure", outputs["p.png"]),
+    )
+    assert result.exit_code == 3
+    assert "not registered: a degenerate cloud" in result.stdout
+    assert "T_target_source" not in result.stdout
+    assert [name for name, path in outputs.items() if path.exists()] == ["r.json", "p.png"]
+    found = json.loads(outputs["r.json"].read_text(), parse_constant=pytest.fail)
+    assert found["success"] is False
+    assert found["reason"] in result.stdout
+
+
+def test_a_failure_under_json_keeps_the_reason_on_standard_error(run, room, cloud_file):
+    result = run("register", cloud_file("two.ply", torch.eye(3)[:2]), room.target, "--json", "-")
+    assert result.exit_code == 3
+    assert json.loads(result.stdout)["success"] is False
+    assert "not registered: too few points" in result.stderr
+
+
+@pytest.mark.real
+def test_a_kitchen(run, tmp_path):
+    from pathlib import Path
+
+    folder = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
+    if not folder.is_dir():
+        pytest.skip(f"no real scan pairs at {folder}")
+    pairs = {pair["name"]: pair for pair in json.loads((folder / "pairs.json").read_text())["pairs"]}
+    pair = pairs["redkitchen_19_05"]
+    (tmp_path / "truth.json").write_text(json.dumps({"T_target_source": pair["T"]}))
+    result = run(
+        *("register", folder / pair["source"], folder / pair["target"], "--json", "-"),
+        *("--truth", tmp_path / "truth.json"),
+    )
+    assert result.exit_code == 0, result.stderr
+    truth = json.loads(result.stdout)["truth"]
+    assert truth["rre_degrees"] < 5
+    assert truth["rmse_meters"] < 0.1

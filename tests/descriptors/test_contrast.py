@@ -1,0 +1,130 @@
+"""Contrast against plain loops, and what a dimmed light does to it."""
+
+import oracles
+import pytest
+import torch
+from determinism import assert_nothing_shows, pieces, same_bits
+from problems import garbage_in_invalid_slots, random_transform, room_pair, sphere_cloud
+from refusals import refuses
+
+import torchreg as tr
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_values_are_those_of_plain_loops(seed):
+    cloud = sphere_cloud(120, seed=seed)
+    near = tr.neighbors(cloud, 0.7, 60)
+    found = tr.contrast(cloud, near, 0.7)
+    assert found.blocks == (("contrast", 10),)
+    assert torch.allclose(found.values, oracles.contrast(cloud.colors, near, 0.7), atol=1e-9)
+
+
+def test_float32_is_within_rounding():
+    scan = room_pair(500).source
+    near = tr.neighbors(scan, 0.9, 60)
+    expected = oracles.contrast(scan.colors, near, 0.9)
+    assert torch.allclose(tr.contrast(scan, near, 0.9).values.double(), expected, atol=1e-3)
+
+
+def test_one_color_has_no_contrast_but_the_constant():
+    cloud = sphere_cloud(80)
+    plain = tr.Clouds(points=cloud.points, colors=torch.full_like(cloud.points, 0.4))
+    features = tr.contrast(plain, tr.neighbors(plain, 0.8, 40), 0.8)
+    assert torch.allclose(features.values[features.valid, :9], torch.zeros(9, dtype=torch.float64), atol=1e-12)
+    assert torch.allclose(features.values[features.valid, 9], torch.tensor(0.3, dtype=torch.float64))
+
+
+def test_a_dimmed_light_hardly_shows():
+    cloud = sphere_cloud(300)
+    bright = tr.Clouds(points=cloud.points, colors=0.5 + 0.5 * cloud.colors)
+    near = tr.neighbors(bright, 0.6, 60)
+    light = torch.tensor([0.8, 0.7, 0.9], dtype=torch.float64)
+    dimmed = tr.Clouds(points=cloud.points, colors=bright.colors * light)
+    difference = tr.contrast(bright, near, 0.6).values - tr.contrast(dimmed, near, 0.6).values
+    darkened = tr.Clouds(points=cloud.points, colors=bright.colors - 0.3)  # not a light: contrast grows
+    assert difference.abs().max() < 0.02
+    assert (tr.contrast(bright, near, 0.6).values - tr.contrast(darkened, near, 0.6).values).abs().max() > 0.1
+
+
+def test_a_rigid_motion_and_another_order_change_nothing():
+    cloud = sphere_cloud(200)
+    expected = tr.contrast(cloud, tr.neighbors(cloud, 0.6, 60), 0.6).values
+    moved = tr.transform(cloud, random_transform(torch.Generator().manual_seed(1)))
+    assert torch.allclose(tr.contrast(moved, tr.neighbors(moved, 0.6, 60), 0.6).values, expected, atol=1e-9)
+    order = torch.randperm(200, generator=torch.Generator().manual_seed(2))
+    shuffled = cloud.rows(order, cloud.offsets)
+    found = tr.contrast(shuffled, tr.neighbors(shuffled, 0.6, 60), 0.6).values
+    assert torch.allclose(found, expected[order], atol=1e-9)
+
+
+def test_a_point_alone_is_not_valid():
+    points = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [9.0, 9, 9]])
+    cloud = tr.Clouds(points=points, colors=torch.rand(3, 3, generator=torch.Generator().manual_seed(0)))
+    features = tr.contrast(cloud, tr.neighbors(cloud, 1.0, 3), 1.0)
+    assert features.valid.tolist() == [True, True, False]
+    assert features.values[2].tolist() == [0] * 10
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_black_and_white_stay_finite(level):
+    cloud = sphere_cloud(50)
+    plain = tr.Clouds(points=cloud.points, colors=torch.full_like(cloud.points, level))
+    assert torch.isfinite(tr.contrast(plain, tr.neighbors(plain, 0.8, 40), 0.8).values).all()
+
+
+def test_a_radius_per_point_is_the_radius_of_that_point():
+    scan = room_pair(400).source
+    near = tr.neighbors(scan, 1.0, 50)
+    radius = torch.where(torch.arange(len(near)) % 2 == 0, 0.6, 1.0).double()
+    mixed = tr.contrast(scan, near, radius).values
+    assert same_bits(mixed[::2], tr.contrast(scan, near, 0.6).values[::2])
+    assert same_bits(mixed[1::2], tr.contrast(scan, near, 1.0).values[1::2])
+
+
+def test_garbage_in_invalid_slots_changes_nothing():
+    scan = room_pair(500).source
+    near = tr.neighbors(scan, 0.7, 50)
+    assert not near.valid.all()
+    assert same_bits(tr.contrast(scan, near, 0.7), tr.contrast(scan, garbage_in_invalid_slots(near), 0.7))
+
+
+def test_a_batch_equals_the_loop_over_its_clouds():
+    made = [room_pair(count, seed=count).source for count in (300, 500, 40)]
+    made.insert(1, made[0].rows(torch.zeros(0, dtype=torch.int64), torch.tensor([0, 0])))
+    made.append(made[0].rows(torch.tensor([7]), torch.tensor([0, 1])))
+
+    def described(clouds):
+        features = tr.contrast(clouds, tr.neighbors(clouds, 0.9, 40), 0.9)
+        return features.values, features.valid
+
+    for batch in (made, made[::-1]):
+        together = described(tr.Clouds.pack(batch))
+        alone = [described(one) for one in batch]
+        assert same_bits(together, tuple(map(torch.cat, zip(*alone, strict=True))))
+
+
+def test_neither_threads_nor_pieces_change_a_bit():
+    scan = room_pair(2500).source
+    near = tr.neighbors(scan, 0.8, 50)
+    assert_nothing_shows(lambda: tr.contrast(scan, near, 0.8))
+
+
+def test_one_row_at_a_time_gives_the_same_bits():
+    scan = room_pair(150).source
+    near = tr.neighbors(scan, 1.5, 40)
+    expected = tr.contrast(scan, near, 1.5)
+    with pieces(1):
+        assert same_bits(tr.contrast(scan, near, 1.5), expected)
+
+
+def test_what_does_not_fit_is_refused():
+    cloud = sphere_cloud(10)
+    near = tr.neighbors(cloud, 1.0, 5)
+    with refuses("cloud", "colors", "none"):
+        tr.contrast(tr.Clouds(points=cloud.points), near, 1.0)
+    with refuses("radius", "above 0", "0"):
+        tr.contrast(cloud, near, 0)
+    with refuses("radius", "(10,)", "(3,)"):
+        tr.contrast(cloud, near, torch.ones(3))
+    with refuses("near", "3 points", "10"):
+        tr.contrast(cloud.rows(torch.arange(3), torch.tensor([0, 3])), near, 1.0)

@@ -1,0 +1,121 @@
+"""The errors of Eq. (5) to (7) against hand-made values and the formulas."""
+
+import math
+
+import oracles
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import random_rotation, random_transform
+from refusals import refuses
+
+import torchreg as tr
+from torchreg.geometry.se3 import rigid
+
+EYE = torch.eye(4, dtype=torch.float64)
+
+
+def turned(degrees, axis=(0.0, 0.0, 1.0), translation=(0.0, 0.0, 0.0)):
+    """A turn about an axis by Rodrigues' formula."""
+    x, y, z = torch.nn.functional.normalize(torch.tensor(axis, dtype=torch.float64), dim=0).tolist()
+    K = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    angle = math.radians(degrees)
+    R = EYE[:3, :3] + math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
+    return rigid(R, torch.tensor(translation, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1e-9, 1e-6, 1e-3, 1.0, 30.0, 90.0, 150.0, 179.9, 180.0])
+@pytest.mark.parametrize("axis", [(0.0, 0, 1), (1.0, 2, 3), (-1.0, 0.5, 0)])
+def test_rotation_error_is_the_angle_of_the_turn(degrees, axis):
+    generator = torch.Generator().manual_seed(0)
+    T = random_transform(generator)
+    found = float(tr.metrics.rre(T, T @ turned(degrees, axis)))
+    assert found == pytest.approx(degrees, rel=1e-6, abs=1e-13)
+
+
+@given(st.integers(0, 2**31))
+def test_rotation_error_is_that_of_the_formula(seed):
+    generator = torch.Generator().manual_seed(seed)
+    one, other = random_transform(generator), random_transform(generator)
+    assert float(tr.metrics.rre(one, other)) == pytest.approx(oracles.rre(one, other), abs=1e-5)
+    assert float(tr.metrics.rre(one, other)) == pytest.approx(float(tr.metrics.rre(other, one)), abs=1e-10)
+
+
+def test_translation_error_is_a_distance():
+    one, other = turned(0, translation=(1.0, 2, 3)), turned(50, translation=(1.0, -1, 7))
+    assert float(tr.metrics.rte(one, other)) == 5.0
+
+
+def test_rmse_of_a_shift_is_its_length():
+    points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    assert float(tr.metrics.rmse(EYE, turned(0, translation=(0.0, 3, 4)), points)) == pytest.approx(5)
+
+
+def test_rmse_of_a_half_turn_about_the_z_axis():
+    points = torch.tensor([[1.0, 0, 5], [0, 2, -3]], dtype=torch.float64)
+    # the points move by 2 and by 4
+    assert float(tr.metrics.rmse(EYE, turned(180), points)) == pytest.approx(math.sqrt((4 + 16) / 2))
+
+
+@given(st.integers(0, 2**31))
+def test_rmse_is_that_of_the_formula(seed):
+    generator = torch.Generator().manual_seed(seed)
+    one, other = random_transform(generator), random_transform(generator)
+    points = torch.randn(20, 3, dtype=torch.float64, generator=generator)
+    apart = (points @ one[:3, :3].t() + one[:3, 3]) - (points @ other[:3, :3].t() + other[:3, 3])
+    expected = float(apart.square().sum(dim=1).mean().sqrt())
+    assert float(tr.metrics.rmse(one, other, points)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_rmse_keeps_its_digits_far_from_zero():
+    points = torch.tensor([[5e5, 5e6, 100.0]], dtype=torch.float64)
+    T = turned(20, (1.0, 2, 3), (7.0, 8, 9))
+    shifted = T.clone()
+    shifted[0, 3] += 1e-6
+    assert float(tr.metrics.rmse(T, shifted, points)) == pytest.approx(1e-6, rel=1e-6)
+
+
+def test_batches_are_taken_pair_by_pair():
+    generator = torch.Generator().manual_seed(1)
+    one = torch.stack([random_transform(generator) for _ in range(6)])
+    other = torch.stack([random_transform(generator) for _ in range(6)])
+    points = torch.randn(9, 3, dtype=torch.float64, generator=generator)
+    for error in (tr.metrics.rre, tr.metrics.rte, lambda a, b: tr.metrics.rmse(a, b, points)):
+        together = error(one.reshape(2, 3, 4, 4), other.reshape(2, 3, 4, 4))
+        assert together.shape == (2, 3)
+        alone = torch.stack([error(a, b) for a, b in zip(one, other, strict=True)])
+        assert torch.allclose(together.reshape(6), alone, atol=1e-12)
+
+
+def test_equal_transforms_have_no_error():
+    T = random_transform(torch.Generator().manual_seed(2))
+    points = torch.rand(5, 3, dtype=torch.float64)
+    assert float(tr.metrics.rre(T, T)) < 1e-12
+    assert float(tr.metrics.rte(T, T)) == 0
+    assert float(tr.metrics.rmse(T, T, points)) == 0
+
+
+def test_gradients_are_right():
+    generator = torch.Generator().manual_seed(3)
+    R = random_rotation(generator).requires_grad_()
+    t = torch.randn(3, dtype=torch.float64, generator=generator).requires_grad_()
+    T = random_transform(generator)
+    points = torch.randn(5, 3, dtype=torch.float64, generator=generator)
+    for error in (tr.metrics.rre, tr.metrics.rte, lambda a, b: tr.metrics.rmse(a, b, points)):
+        assert torch.autograd.gradcheck(lambda R, t, error=error: error(T, rigid(R, t)), (R, t))
+
+
+@pytest.mark.parametrize("error", [tr.metrics.rre, tr.metrics.rte])
+def test_what_does_not_fit_is_refused(error):
+    with refuses("T_true", "(..., 4, 4)", "(3, 3)"):
+        error(torch.eye(3), EYE)
+    with refuses("T_estimated", "(..., 4, 4)", "(3, 4)"):
+        error(EYE, EYE[:3])
+
+
+def test_rmse_refuses_what_does_not_fit():
+    with refuses("points", "(P, 3)", "(5, 2)"):
+        tr.metrics.rmse(EYE, EYE, torch.zeros(5, 2))
+    with refuses("points", "at least one"):
+        tr.metrics.rmse(EYE, EYE, torch.zeros(0, 3))

@@ -1,0 +1,236 @@
+"""Registration problems with known truth: correspondences of a given outlier ratio, and small colored rooms."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+import torchreg as tr
+from torchreg.geometry.se3 import rigid
+from torchreg.types.packing import offsets_of
+
+
+class Problem(NamedTuple):
+    """One pair, its matches and what is true of them.
+
+    Attributes:
+        source: B = 1.
+        target: B = 1.
+        matches: of the pair.
+        T_target_source: (1, 4, 4) float64, true, origins included.
+        is_inlier: (M,) bool.
+    """
+
+    source: tr.Clouds
+    target: tr.Clouds
+    matches: tr.Correspondences
+    T_target_source: Tensor
+    is_inlier: Tensor
+
+
+class RoomPair(NamedTuple):
+    """Two scans of one room, each in the frame of its scanner.
+
+    Attributes:
+        source: B = 1, with colors and viewpoint.
+        target: B = 1, likewise.
+        T_target_source: (1, 4, 4) float64, true.
+    """
+
+    source: tr.Clouds
+    target: tr.Clouds
+    T_target_source: Tensor
+
+
+def random_rotation(generator: torch.Generator) -> Tensor:
+    """A rotation (3, 3) float64, uniform over SO(3), from a random unit quaternion."""
+    w, x, y, z = torch.nn.functional.normalize(_normal(generator, 4), dim=0).tolist()
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+def random_transform(generator: torch.Generator, reach: float = 5.0) -> Tensor:
+    """A rigid transform (4, 4) float64 with translations of some ``reach`` meters."""
+    return rigid(random_rotation(generator), reach * _normal(generator, 3))
+
+
+def correspondence_problem(
+    count: int = 500,
+    outlier_ratio: float = 0.8,
+    *,
+    noise: float = 0.01,
+    size: float = 10.0,
+    seed: int = 0,
+    dtype: torch.dtype = torch.float64,
+) -> Problem:
+    """Points in a cube of ``size`` meters; outliers are matched to points drawn anywhere in the target's cube."""
+    generator = torch.Generator().manual_seed(seed)
+    p = size * torch.rand(count, 3, dtype=torch.float64, generator=generator)
+    T = random_transform(generator)
+    q = p @ T[:3, :3].t() + T[:3, 3] + noise * _normal(generator, count, 3)
+    outliers = torch.randperm(count, generator=generator)[: round(outlier_ratio * count)]
+    anywhere = size * torch.rand(len(outliers), 3, dtype=torch.float64, generator=generator)
+    q[outliers] = anywhere @ T[:3, :3].t() + T[:3, 3]
+    shuffled = torch.randperm(count, generator=generator)  # target rows are not in the order of the source's
+    target = torch.empty_like(q)
+    target[shuffled] = q
+    is_inlier = torch.ones(count, dtype=torch.bool)
+    is_inlier[outliers] = False
+    return Problem(
+        tr.Clouds(points=p.to(dtype)),
+        tr.Clouds(points=target.to(dtype)),
+        matched(torch.arange(count), shuffled),
+        T[None],
+        is_inlier,
+    )
+
+
+def matched(source: Tensor, target: Tensor) -> tr.Correspondences:
+    """Matches of one pair, all with score zero."""
+    return tr.Correspondences(source, target, torch.tensor([0, len(source)]), torch.zeros(len(source)))
+
+
+def pack_problems(problems: list[Problem]) -> tuple[tr.Clouds, tr.Clouds, tr.Correspondences]:
+    """The batch of several problems, rows of their matches shifted to the packed clouds."""
+    source = tr.Clouds.pack([problem.source for problem in problems])
+    target = tr.Clouds.pack([problem.target for problem in problems])
+    first_source, first_target = source.offsets.tolist(), target.offsets.tolist()
+    matches = tr.Correspondences(
+        torch.cat([problem.matches.source + first_source[b] for b, problem in enumerate(problems)]),
+        torch.cat([problem.matches.target + first_target[b] for b, problem in enumerate(problems)]),
+        offsets_of(len(problem.matches.source) for problem in problems),
+        torch.cat([problem.matches.score for problem in problems]),
+    )
+    return source, target, matches
+
+
+def room_pair(
+    count: int = 6000,
+    *,
+    seed: int = 0,
+    noise: float = 0.002,
+    scale: float = 1.0,
+    dtype: torch.dtype = torch.float32,
+) -> RoomPair:
+    """Two scans of a furnished room of 6 x 4.5 x 2.7 m times ``scale``, from two places.
+
+    Each scan draws ``count`` points of its own and keeps those on faces that look at the scanner, about 87 %.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    T_source_world, T_target_world = _scanner(generator), _scanner(generator)
+    places = torch.tensor([[2.2, 1.7, 1.6], [3.6, 2.9, 1.5]], dtype=torch.float64)
+    source = _scan(count, places[0], T_source_world, noise, scale, generator, dtype)
+    target = _scan(count, places[1], T_target_world, noise, scale, generator, dtype)
+    return RoomPair(source, target, (T_target_world @ torch.linalg.inv(T_source_world))[None])
+
+
+def sphere_cloud(count: int, *, seed: int = 0, dtype: torch.dtype = torch.float64) -> tr.Clouds:
+    """A bumpy colored sphere of about 1 m with its true-looking normals: no planes, no ties."""
+    generator = torch.Generator().manual_seed(seed)
+    direction = torch.nn.functional.normalize(_normal(generator, count, 3), dim=1)
+    x, y, z = direction.unbind(1)
+    radius = 1 + 0.2 * torch.sin(5 * x + 1) * torch.cos(4 * y) + 0.1 * torch.sin(7 * z)
+    tilted = torch.nn.functional.normalize(direction + 0.3 * _normal(generator, count, 3), dim=1)
+    colors = torch.rand(count, 3, dtype=torch.float64, generator=generator)
+    return tr.Clouds(
+        points=(radius[:, None] * direction).to(dtype), colors=colors.to(dtype), normals=tilted.to(dtype)
+    )
+
+
+def plane_cloud(count: int, size: float, *, seed: int = 0) -> tr.Clouds:
+    """Points drawn evenly over a square of ``size`` meters, float32, without colors."""
+    generator = torch.Generator().manual_seed(seed)
+    points = size * torch.rand(count, 3, generator=generator)
+    points[:, 2] = 0
+    return tr.Clouds(points=points)
+
+
+def garbage_in_invalid_slots(near: tr.Neighborhoods, seed: int = 0) -> tr.Neighborhoods:
+    """The same neighborhoods with other rows and distances where nothing is valid."""
+    index = torch.randint(len(near), near.index.shape, generator=torch.Generator().manual_seed(seed))
+    garbage = torch.full_like(near.sq_distance, 3.25)
+    return tr.Neighborhoods(
+        torch.where(near.valid, near.index, index),
+        near.valid,
+        torch.where(near.valid, near.sq_distance, garbage),
+    )
+
+
+def _normal(generator: torch.Generator, *shape: int) -> Tensor:
+    return torch.randn(*shape, dtype=torch.float64, generator=generator)
+
+
+def _scanner(generator: torch.Generator) -> Tensor:
+    return random_transform(generator, reach=2.0)
+
+
+def _scan(
+    count: int,
+    place: Tensor,
+    T_scan_world: Tensor,
+    noise: float,
+    scale: float,
+    generator: torch.Generator,
+    dtype: torch.dtype,
+) -> tr.Clouds:
+    """Points of the faces that look at ``place``, drawn evenly by area, with noise, in the frame of the scan."""
+    corner, first, second, hue = _faces()
+    normal = torch.linalg.cross(first, second)
+    area = torch.linalg.vector_norm(normal, dim=1)
+    face = torch.multinomial(area, count, replacement=True, generator=generator)
+    u, v = torch.rand(2, count, dtype=torch.float64, generator=generator)
+    points = corner[face] + u[:, None] * first[face] + v[:, None] * second[face]
+    seen = ((place - points) * normal[face]).sum(dim=1) > 0
+    colors = _painted(hue[face], points)[seen]
+    points = scale * (points[seen] + noise * _normal(generator, int(seen.sum()), 3))
+    R, t = T_scan_world[:3, :3], T_scan_world[:3, 3]
+    return tr.Clouds(
+        points=(points @ R.t() + t).to(dtype),
+        colors=colors.to(dtype),
+        viewpoint=(R @ (scale * place) + t)[None].to(dtype),
+    )
+
+
+def _painted(hue: Tensor, points: Tensor) -> Tensor:
+    """Saturated colors whose hue and brightness change along the walls."""
+    x, y, z = points.unbind(1)
+    turned = hue + 0.12 * torch.sin(1.7 * x + 0.4) + 0.1 * torch.cos(2.3 * y) + 0.08 * torch.sin(3.1 * z)
+    value = 0.65 + 0.2 * torch.sin(2.9 * x + 1.3 * z) + 0.1 * torch.cos(3.7 * y)
+    channels = [0.5 + 0.5 * torch.cos(2 * math.pi * (turned - shift / 3)) for shift in range(3)]
+    return (torch.stack(channels, dim=1) * value[:, None]).clamp(0, 1)
+
+
+def _faces() -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Corners, two edges (F, 3) each and hue (F,); the cross product of the edges looks into the free space."""
+    faces = _box((0, 0, 0), (6, 4.5, 2.7), inward=True, hue=0.1)
+    faces += _box((0.3, 0.2, 0), (1.6, 0.8, 0.9), inward=False, hue=0.5)
+    faces += _box((4.4, 0.1, 0), (0.7, 1.9, 2.1), inward=False, hue=0.75)
+    faces += _box((1.0, 3.3, 0), (1.2, 1.0, 0.5), inward=False, hue=0.3)
+    faces += _box((4.9, 3.6, 0), (0.8, 0.7, 1.3), inward=False, hue=0.9)
+    corner, first, second, hue = zip(*faces, strict=True)
+    columns = (torch.tensor(part, dtype=torch.float64) for part in (corner, first, second, hue))
+    return tuple(columns)
+
+
+def _box(
+    low: tuple[float, ...], size: tuple[float, ...], *, inward: bool, hue: float
+) -> list[tuple[list[float], list[float], list[float], float]]:
+    faces = []
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        for high in (False, True):
+            corner = list(map(float, low))
+            corner[axis] += size[axis] if high else 0.0
+            first, second = [0.0] * 3, [0.0] * 3
+            first[i], second[j] = size[i], size[j]
+            if high == inward:  # e_i x e_j = e_axis: outward on the high side
+                first, second = second, first
+            faces.append((corner, first, second, hue + 0.07 * len(faces)))
+    return faces

@@ -1,0 +1,106 @@
+"""Exact scores, refits that never get worse, and the least-squares fit to inliers."""
+
+import oracles
+import torch
+from determinism import THREADS, same_bits, threads
+from problems import correspondence_problem, random_rotation
+
+from torchreg.ransac.refine import best_first, fit, optimize, score
+
+
+def columns(problem):
+    source = problem.source.points[problem.matches.source]
+    target = problem.target.points[problem.matches.target]
+    return source.t().contiguous(), target.t().contiguous()
+
+
+def near_truth(problem, count=6, step=0.02, seed=0):
+    """Hypotheses (3, 3, H), (3, H) around the true transform."""
+    generator = torch.Generator().manual_seed(seed)
+    R, t = problem.T_target_source[0, :3, :3], problem.T_target_source[0, :3, 3]
+    twist = step * torch.randn(count, 3, 3, dtype=torch.float64, generator=generator)
+    turned = torch.matrix_exp(twist - twist.transpose(1, 2)) @ R
+    moved = t + step * torch.randn(count, 3, dtype=torch.float64, generator=generator)
+    return turned.permute(1, 2, 0).contiguous(), moved.t().contiguous()
+
+
+def test_scores_are_counts_and_errors_of_residuals():
+    problem = correspondence_problem(200)
+    source, target = columns(problem)
+    rotation, translation = near_truth(problem)
+    scored = score(rotation, translation, source, target, 0.2)
+    moved = torch.einsum("ijh,jm->him", rotation, source) + translation.t()[:, :, None]
+    square = (moved - target).square().sum(dim=1)
+    assert torch.equal(scored.inliers, square < 0.04)
+    assert torch.equal(scored.support, scored.inliers.sum(dim=1))
+    assert torch.allclose(scored.error, torch.where(square < 0.04, square, 0).sum(dim=1))
+
+
+def test_the_best_comes_first():
+    problem = correspondence_problem(200)
+    source, target = columns(problem)
+    scored = score(*near_truth(problem, 20), source, target, 0.2)
+    ordered = scored.take(best_first(scored))
+    keys = list(zip((-ordered.support).tolist(), ordered.error.tolist(), strict=True))
+    assert keys == sorted(keys)
+    twice = scored.take(torch.tensor([3, 3, 3]))
+    assert best_first(twice).tolist() == [0, 1, 2]
+
+
+def test_the_fit_to_inliers_is_that_of_numpy():
+    problem = correspondence_problem(300, noise=0.05)
+    source, target = columns(problem)
+    generator = torch.Generator().manual_seed(1)
+    masks = torch.rand(5, 300, generator=generator) < 0.3
+    masks[0] = problem.is_inlier
+    rotation, translation = fit(masks, source, target)
+    for h, mask in enumerate(masks):
+        expected = oracles.kabsch(source[:, mask].t(), target[:, mask].t())
+        assert torch.allclose(rotation[..., h], expected[:3, :3], atol=1e-9)
+        assert torch.allclose(translation[:, h], expected[:3, 3], atol=1e-8)
+
+
+def test_a_fit_to_nothing_is_a_rotation():
+    source, target = columns(correspondence_problem(10))
+    rotation, translation = fit(torch.zeros(1, 10, dtype=torch.bool), source, target)
+    assert torch.allclose(rotation[..., 0] @ rotation[..., 0].t(), torch.eye(3, dtype=torch.float64))
+    assert torch.isfinite(translation).all()
+
+
+def test_optimization_never_makes_a_hypothesis_worse():
+    problem = correspondence_problem(300, noise=0.05)
+    source, target = columns(problem)
+    generator = torch.Generator().manual_seed(2)
+    rotation, translation = near_truth(problem, 8, step=0.03)
+    rotation[..., 0] = random_rotation(generator)  # a wrong one among them
+    before = score(rotation, translation, source, target, 0.2)
+    for rounds in (0, 1, 10):
+        after = optimize(before, source, target, 0.2, rounds)
+        assert (after.support >= before.support).all()
+        equal = after.support == before.support
+        assert (after.error[equal] <= before.error[equal]).all()
+    assert (after.support[1:] > before.support[1:]).any()
+    assert same_bits(tuple(optimize(before, source, target, 0.2, 0)), tuple(before))
+
+
+def test_a_hypothesis_has_its_bits_whatever_stands_beside_it():
+    problem = correspondence_problem(2000, noise=0.05)
+    source, target = columns(problem)
+    rotation, translation = near_truth(problem, 9)
+    together = optimize(score(rotation, translation, source, target, 0.2), source, target, 0.2, 5)
+    for h in (0, 4, 8):
+        start = score(rotation[..., h : h + 1], translation[:, h : h + 1], source, target, 0.2)
+        alone = optimize(start, source, target, 0.2, 5)
+        assert same_bits(tuple(alone), tuple(together.take(torch.tensor([h]))))
+
+
+def test_the_number_of_threads_changes_nothing():
+    problem = correspondence_problem(5000, noise=0.05)
+    source, target = columns(problem)
+    rotation, translation = near_truth(problem, 64)
+    found = []
+    for number in THREADS:
+        with threads(number):
+            start = score(rotation, translation, source, target, 0.2)
+            found.append(tuple(optimize(start, source, target, 0.2, 5)))
+    assert all(same_bits(one, found[0]) for one in found)

@@ -1,0 +1,96 @@
+"""What a pair lacks is said before anything is computed."""
+
+import pytest
+import torch
+from determinism import same_bits
+from problems import random_rotation, room_pair
+
+import torchreg as tr
+from torchreg.registration.inspect import notes_on, refuse, set_aside
+
+GOOD = tr.Clouds(points=torch.rand(10, 3, generator=torch.Generator().manual_seed(0)))
+
+
+def line(rows=20, seed=0, dtype=torch.float32):
+    along = random_rotation(torch.Generator().manual_seed(seed))[0]
+    return (torch.linspace(-3, 7, rows, dtype=torch.float64)[:, None] * along + 2).to(dtype)
+
+
+def spoiled(value):
+    points = torch.rand(10, 3, generator=torch.Generator().manual_seed(1))
+    points[4, 2] = value
+    return points
+
+
+@pytest.mark.parametrize(
+    ("points", "reason"),
+    [
+        (torch.zeros(0, 3), "too few points: the {} has 0, at least 4 are needed"),
+        (torch.zeros(1, 3), "too few points: the {} has 1"),
+        (torch.rand(3, 3), "too few points: the {} has 3"),
+        (spoiled(float("nan")), "points that are not finite: 1 of 10 in the {}"),
+        (spoiled(float("inf")), "points that are not finite: 1 of 10 in the {}"),
+        (torch.full((9, 3), 2.5), "a degenerate cloud: all 9 points of the {} coincide"),
+        (line(), "a degenerate cloud: the points of the {} lie on one line"),
+        (line(dtype=torch.float64), "a degenerate cloud: the points of the {} lie on one line"),
+        (torch.arange(12.0)[:, None].expand(12, 3).contiguous(), "a degenerate cloud: the points of the {} lie on one"),
+    ],
+)
+def test_a_pair_is_refused_for_either_of_its_clouds(points, reason):
+    bad = tr.Clouds(points=points)
+    good = tr.Clouds(points=GOOD.points.to(points.dtype))
+    assert refuse(bad, good)[0].startswith(reason.format("source"))
+    assert refuse(good, bad)[0].startswith(reason.format("target"))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_any_line_is_seen(seed):
+    for dtype in (torch.float32, torch.float64):
+        (reason,) = refuse(tr.Clouds(points=line(seed=seed, dtype=dtype)), GOOD)
+        assert reason.endswith("lie on one line")
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_a_plane_and_a_volume_are_taken(scale):
+    flat = scale * torch.rand(10, 3, generator=torch.Generator().manual_seed(2))
+    assert refuse(tr.Clouds(points=flat), GOOD) == [""]
+    flat[:, 1] = 0
+    assert refuse(tr.Clouds(points=flat), GOOD) == [""]
+
+
+def test_every_pair_has_its_own_reason():
+    clouds = [GOOD.points, torch.zeros(0, 3), line(), GOOD.points]
+    source = tr.Clouds.pack([tr.Clouds(points=points) for points in clouds])
+    target = tr.Clouds.pack([GOOD] * 4)
+    assert [bool(reason) for reason in refuse(source, target)] == [False, True, True, False]
+
+
+def test_refused_pairs_are_emptied_and_the_others_left_alone():
+    made = [room_pair(50, seed=seed).source for seed in range(3)]
+    packed = tr.Clouds.pack(made)
+    kept = set_aside(packed, ["", "why not", ""])
+    assert kept.lengths == [packed.lengths[0], 0, packed.lengths[2]]
+    assert same_bits(kept.select([0, 2]), packed.select([0, 2]))
+    assert set_aside(packed, ["", "", ""]) is packed
+
+
+def test_notes_name_what_is_missing():
+    options = (tr.PAPER, tr.RegistrationOptions(voxel_size=0.1234))
+    pair = room_pair(50)
+    full, bare = tr.Clouds.pack([pair.source] * 2), tr.Clouds(points=torch.zeros(2, 3), offsets=torch.tensor([0, 1, 2]))
+    assert notes_on(full, full, options) == ((), ("downsampled to voxels of 0.123 m",))
+    first, _ = notes_on(full, bare, options)
+    assert first[0].startswith("no colors in target: FPFH alone")
+    assert first[1].startswith("no viewpoint for the target")
+    first, _ = notes_on(bare, bare, options)
+    assert first[0].startswith("no colors in source and target")
+    assert [note.split(":")[0] for note in first[1:]] == ["no viewpoint for the source", "no viewpoint for the target"]
+
+
+def test_a_viewpoint_of_nan_counts_as_unknown():
+    pair = room_pair(50)
+    unknown = tr.Clouds(points=pair.source.points, colors=pair.source.colors)
+    source = tr.Clouds.pack([pair.source, unknown])
+    notes = notes_on(source, source, (tr.PAPER, tr.PAPER))
+    assert notes[0] == ()
+    assert len(notes[1]) == 2

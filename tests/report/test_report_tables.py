@@ -1,0 +1,155 @@
+"""Tables and texts."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from problems import room_pair
+from rich.console import Console
+
+import torchreg as tr
+from torchreg.geometry.se3 import rigid
+from torchreg.io import read_cloud_report
+from torchreg.report import (
+    DemoRow,
+    TruthErrors,
+    cloud_table,
+    demo_sentence,
+    demo_table,
+    matrix_text,
+    registration_table,
+    truth_errors,
+)
+from torchreg.report.text import legible, share
+
+
+def shown(table, width=200):
+    console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(table)
+    console.file.close()
+    return console.export_text()
+
+
+@pytest.fixture(scope="module")
+def result():
+    pair = room_pair(3000, seed=2)
+    return tr.register(pair.source, pair.target)
+
+
+def test_registration_table(result):
+    truth = TruthErrors(0.5, 0.0123, 0.02)
+    text = shown(registration_table(result, source="[a].ply", target="b.ply", truth=truth))
+    options = result.options[0]
+    for words in (
+        "[a].ply",
+        f"{options.normal_radius:.4g} m",
+        f"{options.feature_radius:.4g} m",
+        f"{options.ransac.inlier_threshold:.4g} m",
+        f"{int(result.hypotheses.drawn[0]):,} drawn",
+        f"{int(result.inliers.sum()):,} of {len(result.inliers):,}",
+        f"{float(result.fitness[0]):.4f}",
+        "RRE 0.5 degrees, RTE 0.0123 m, RMSE 0.02 m",
+        "descriptors",
+        "contrast (weight 0.8)",
+    ):
+        assert words in text
+    assert text.rstrip().endswith("registered")
+
+
+def test_registration_table_of_a_failure(result):
+    failed = replace(
+        result, success=torch.tensor([False]), reason=("too few [red]matches",), notes=(("a [bold]note",),)
+    )
+    text = shown(registration_table(failed, source="a", target="b", colored=False))
+    assert text.rstrip().endswith("not registered: too few [red]matches")
+    assert "a [bold]note" in text
+    assert "T_target_source" not in text
+    assert "geometry alone" in text
+
+
+def test_tables_fold_and_never_cut(result):
+    name = "a_very_long_name" * 10 + ".ply"
+    narrow = shown(registration_table(result, source=name, target="b"), width=60)
+    assert name in "".join(line.strip().removeprefix("source").strip() for line in narrow.splitlines())
+    assert max(map(len, narrow.splitlines()[:1])) <= 60
+
+
+def test_matrix_text():
+    T = rigid(torch.eye(3, dtype=torch.float64), torch.tensor([4512345.123456789, -2.5, 0], dtype=torch.float64))
+    lines = matrix_text(T).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    rows = [[float(word) for word in line.split()] for line in lines]
+    torch.testing.assert_close(torch.tensor(rows, dtype=torch.float64), T, atol=1e-9, rtol=0)
+
+
+def test_cloud_table(tmp_path):
+    cloud = room_pair(2000, seed=2).source
+    tr.write_cloud(tmp_path / "a.ply", cloud)
+    file = read_cloud_report(tmp_path / "a.ply")
+    text = shown(cloud_table(file, 0.123, tr.derive_options(cloud, cloud)[0], ""))
+    assert "0.123 m (median" in text
+    assert f"{len(cloud.points):,} in the file" in text
+    assert "cannot be registered" not in text
+    assert "cannot be registered  flat" in shown(cloud_table(file, 0.0, None, "flat"))
+
+
+def test_truth_errors_of_a_known_difference():
+    angle = math.radians(2)
+    R = torch.tensor(
+        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]], dtype=torch.float64
+    )
+    cloud = tr.Clouds(
+        points=torch.tensor([[1.0, 0, 0], [-1, 0, 0]]), origin=torch.tensor([[9.0, 0, 0]], dtype=torch.float64)
+    )
+    found = truth_errors(cloud, torch.eye(4, dtype=torch.float64), rigid(R, torch.tensor([0, 0, 3.0]).double()))
+    chords = [2 * radius * math.sin(angle / 2) for radius in (10, 8)]
+    expected = math.sqrt(sum(chord**2 + 9 for chord in chords) / 2)
+    assert found.rre_degrees == pytest.approx(2)
+    assert found.rte_meters == pytest.approx(3)
+    assert found.rmse_meters == pytest.approx(expected)
+
+
+def a_row(method="m", right=True, ratio=0.1, degrees=0.1, success=True):
+    return DemoRow(
+        method=method,
+        points=(9000, 12345),
+        inlier_ratio=ratio,
+        threshold=0.2,
+        errors=TruthErrors(degrees, 0.5, 0.25),
+        seconds=1.26,
+        success=success,
+        right=right,
+        T_target_source=torch.eye(4),
+    )
+
+
+def test_demo_table():
+    text = shown(demo_table([a_row("one"), a_row("two", right=False), a_row("three", right=False, success=False)]), 80)
+    assert text.splitlines()[2].split() == ["one", "12,345", "10.00", "%", "0.10", "0.500", "0.250", "1.3", "right"]
+    assert text.splitlines()[3].split()[-1] == "wrong"
+    assert text.splitlines()[4].split()[-5:] == ["-", "-", "-", "1.3", "refused"]
+
+
+@pytest.mark.parametrize(
+    ("plain", "fused", "words"),
+    [
+        (a_row(right=False, degrees=179.7), a_row(ratio=0.3), ("turned by 180 degrees", "wall on wall", "30.0 %")),
+        (a_row(right=False, degrees=12), a_row(), ("turned by 12 degrees and moved by 0.5 m; with color all",)),
+        (a_row(), a_row(), ("with color and without",)),
+        (a_row(), a_row(right=False), ("do not lie on each other, without it they do",)),
+        (a_row(right=False), a_row(right=False), ("nor without it",)),
+    ],
+)
+def test_demo_sentence(plain, fused, words):
+    sentence = demo_sentence(plain, fused)
+    assert sentence.count(". ") == 0
+    assert sentence.endswith(".")
+    for word in words:
+        assert word in sentence
+
+
+def test_legible_and_share():
+    assert legible("a\x1b[1mb\udcff\nñ") == "a\\x1b[1mb\\udcff\nñ"
+    assert share(1234, 5000) == "1,234 of 5,000 (24.7 %)"
+    assert share(0, 0) == "0 of 0 (0 %)"

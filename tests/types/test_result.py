@@ -1,0 +1,49 @@
+"""A result checks that it speaks of as many pairs throughout."""
+
+import pytest
+import torch
+from problems import matched
+from refusals import refuses
+
+import torchreg as tr
+
+MATCHES = matched(torch.arange(4), torch.arange(4))
+COUNT = torch.zeros(1, dtype=torch.int64)
+NUMBER = torch.zeros(1, dtype=torch.float64)
+FIELDS = {
+    "T_target_source": torch.eye(4, dtype=torch.float64)[None],
+    "inliers": torch.zeros(4, dtype=torch.bool),
+    "fitness": NUMBER,
+    "inlier_rmse": NUMBER,
+    "success": torch.zeros(1, dtype=torch.bool),
+    "reason": ("no reason",),
+    "hypotheses": tr.HypothesisCounts(COUNT, COUNT, COUNT),
+    "correspondences": MATCHES,
+}
+
+
+def test_pairs_are_counted():
+    assert len(tr.RegistrationResult(**FIELDS)) == 1
+
+
+@pytest.mark.parametrize(
+    ("fields", "name", "parts"),
+    [
+        ({"T_target_source": torch.eye(4, dtype=torch.float64)}, "T_target_source", ["(B, 4, 4)", "(4, 4)"]),
+        ({"T_target_source": torch.eye(4)[None]}, "T_target_source", ["float64", "float32"]),
+        ({"inliers": torch.zeros(3, dtype=torch.bool)}, "inliers", ["(4,)", "(3,)"]),
+        ({"inliers": torch.zeros(4)}, "inliers", ["bool", "float32"]),
+        ({"fitness": torch.zeros(2, dtype=torch.float64)}, "fitness", ["(1,)", "(2,)"]),
+        ({"fitness": torch.zeros(1)}, "fitness", ["float64", "float32"]),
+        ({"inlier_rmse": torch.zeros(1)}, "inlier_rmse", ["float64", "float32"]),
+        ({"success": torch.zeros(2, dtype=torch.bool)}, "success", ["(1,)", "(2,)"]),
+        ({"success": torch.zeros(1)}, "success", ["bool", "float32"]),
+        ({"reason": ()}, "reason", ["one text per pair (1)", "()"]),
+        ({"hypotheses": tr.HypothesisCounts(COUNT, torch.zeros(2), COUNT)}, "hypotheses.kept", ["(1,)", "(2,)"]),
+        ({"options": (tr.PAPER, tr.PAPER)}, "options", ["(1)", "2"]),
+        ({"notes": ((), ())}, "notes", ["(1)", "2"]),
+    ],
+)
+def test_what_does_not_fit_is_refused(fields, name, parts):
+    with refuses(name, *parts):
+        tr.RegistrationResult(**(FIELDS | fields))
