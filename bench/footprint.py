@@ -47,9 +47,10 @@ def main() -> None:
     memory: dict[str, Any] = json.loads(_output(MEMORY))
     imports = [float(_output(IMPORT)) for _ in range(IMPORTS)]
     facts = machine()
+    gibibytes = memory["bytes"] / 2**30
     text = (
-        f"Registering two clouds of {POINTS:,} points, 100 neighbors each, takes {memory['bytes'] / 2**30:.2f} GiB above what "
-        f"the imports and the clouds hold. `import torchreg` takes {median(imports):.2f} s beyond `import torch` "
+        f"Registering two clouds of {POINTS:,} points, 100 neighbors each, takes {gibibytes:.2f} GiB above what the "
+        f"imports and the clouds hold. `import torchreg` takes {median(imports):.2f} s beyond `import torch` "
         f"(median of {IMPORTS}; {in_words(facts)})."
     )
     print(text)

@@ -5,7 +5,8 @@
 
 All methods get the same clouds, averaged over voxels of each pair's ``voxel_m`` v: normals 2 v / 30, FPFH 5 v / 100,
 inlier threshold 1.5 v, 600,000 hypotheses, confidence 0.999. A pair counts as found when the rotation error is below
-15 degrees and the translation error below 6 v. Inlier ratio: share of the mutual matches closer than 2 v under the truth.
+15 degrees and the translation error below 6 v. Inlier ratio: share of the mutual matches closer than 2 v under the
+truth.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _CHUNKED = (
     "preprocess.normals",
     "ransac.verdict",
 )
-_TILED = ("matching.nearest", "ransac.scoring")
+_TILED = ("matching.settle", "ransac.scoring")
 
 
 def same_bits(left: Any, right: Any, *, ignore: tuple[str, ...] = ()) -> bool:

@@ -59,7 +59,7 @@ def positive(value: float, name: str) -> float:
 
 
 def fraction(value: float, name: str, *, zero: bool = False) -> float:
-    """Return ``value`` if it is a number in (0, 1], or in [0, 1] where ``zero`` is allowed, else raise ``ValueError``."""
+    """Return ``value`` if it is in (0, 1], or in [0, 1] where ``zero`` is allowed, else raise ``ValueError``."""
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     legal = number and (0 <= value <= 1 if zero else 0 < value <= 1)
     expect(legal, name, "a number in [0, 1]" if zero else "a number in (0, 1]", value)

@@ -84,7 +84,7 @@ def test_every_option_names_its_unit():
                 assert "meters" in help_text
 
 
-@pytest.mark.parametrize("command", [[], ["register"], ["info"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["register"], ["check"], ["info"], ["demo"]])
 def test_help(run, command):
     result = run(*command, "--help")
     assert result.exit_code == 0

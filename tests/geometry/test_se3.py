@@ -67,6 +67,14 @@ def test_points_of_utm_size_lose_nothing():
     assert torch.allclose(tr.transform(far, T).origin[0], expected, atol=1e-8, rtol=0)
 
 
+def test_points_are_rotated_in_float64_and_rounded_once():
+    T = random_transform(torch.Generator().manual_seed(4))
+    narrow = cloud(50, dtype=torch.float32)
+    wide = tr.transform(narrow.to(dtype=torch.float64), T)
+    for name in ("points", "normals", "viewpoint"):
+        assert same_bits(getattr(tr.transform(narrow, T), name), getattr(wide, name).float())
+
+
 def test_there_and_back():
     T = random_transform(torch.Generator().manual_seed(5))
     before = cloud(9, origin=(1.0, 2.0, 3.0))

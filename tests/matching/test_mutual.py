@@ -197,6 +197,23 @@ def test_neither_threads_nor_tiles_change_a_bit_of_near_ties():
     assert_nothing_shows(lambda: tr.match_mutual(source, target, ratio=0.999))
 
 
+def test_a_match_is_not_lost_where_the_product_proposes_a_target_that_another_source_is_nearer_to():
+    # every query lies between two targets, as far from one as from the other within the rounding of a product in
+    # float32; close to the first of the two sits another source, so that only the second can be the query's match
+    count, width = 300, 33
+    query = 10 * random_values(count, width, 1, torch.float64)
+    step = torch.nn.functional.normalize(random_values(count, width, 2, torch.float64), dim=1)
+    shorter = 1 - 1e-5 * torch.rand(count, 1, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    first, second = query + step, query - shorter * step
+    taken = first + 0.01 * random_values(count, width, 4, torch.float64)
+    source = features(torch.cat([query, taken]).float())
+    target = features(torch.cat([first, second]).float())
+    expected = oracles.mutual_matches(source, target)
+    assert sum(k >= count for _, k in expected) > 250
+    assert found(tr.match_mutual(source, target)) == expected
+    assert found(tr.match_mutual(target, source)) == sorted((k, i) for i, k in expected)
+
+
 def test_what_does_not_fit_is_refused():
     one = features(random_values(4))
     with refuses("target", "1 clouds", "2"):

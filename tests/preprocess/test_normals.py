@@ -5,7 +5,7 @@ import torch
 from determinism import assert_nothing_shows, pieces, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import garbage_in_invalid_slots, plane_cloud, random_rotation, random_transform, room_pair
+from problems import garbage_in_invalid_slots, plane_cloud, random_rotation, random_transform, room_pair, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
@@ -133,6 +133,8 @@ def test_a_batch_equals_the_loop_over_its_clouds():
     made.insert(1, tr.Clouds(points=flat.points, colors=flat.points))
     made.insert(0, made[0].rows(torch.zeros(0, dtype=torch.int64), torch.tensor([0, 0])))
     made.append(made[1].rows(torch.tensor([3]), torch.tensor([0, 1])))
+    ball = sphere_cloud(300, dtype=torch.float32)  # without a viewpoint: its own mean point matters, no other
+    made.append(tr.Clouds(points=ball.points + 20, colors=ball.colors))
 
     def oriented(clouds):
         return tr.estimate_normals(clouds, tr.neighbors(clouds, 0.5, 20)).normals

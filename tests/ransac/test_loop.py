@@ -278,9 +278,9 @@ def test_points_far_from_their_zero_are_found_as_well():
 
 
 def test_a_large_scene_with_a_small_threshold_is_found():
-    # the squared distance of 2 km in float32 is no good to 1 cm: the proposal must be made in float64
-    problem = correspondence_problem(300, 0.5, size=2000.0, noise=0.001)
-    result = run(problem, tr.RansacOptions(inlier_threshold=0.01, hypotheses=50_000))
+    # coordinates of 2 km in float32 are no good to 0.5 mm: the proposal must be made in float64
+    problem = correspondence_problem(300, 0.5, size=2000.0, noise=1e-5)
+    result = run(problem, tr.RansacOptions(inlier_threshold=5e-4, hypotheses=50_000))
     assert result.success.all()
     assert (result.inliers == problem.is_inlier).float().mean() > 0.95
 

@@ -9,7 +9,7 @@ from problems import RoomPair, plane_cloud, random_transform, room_pair
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.descriptors.color import color_values
+from torchreg.descriptors.color import color_values, joint_color_values
 from torchreg.preprocess.downsample import in_morton_order
 
 EYE = torch.eye(4, dtype=torch.float64)
@@ -97,6 +97,52 @@ def test_register_is_its_steps_and_nothing_more():
     result = tr.register(pair.source, pair.target, replace(ROOM, voxel_size=0.1), seed=3)
     for name in (*COUNTED, "hypotheses", "correspondences", "reason"):
         assert same_bits(getattr(result, name), getattr(expected, name)), name
+
+
+def test_register_hands_every_option_to_its_step():
+    pair = room_pair(1500)
+    options = replace(
+        ROOM,
+        normal_radius=0.45,
+        normal_max_neighbors=12,
+        feature_max_neighbors=50,
+        color=("contrast", "pcfh"),
+        color_weights=(0.7, 0.4),
+        color_radius=0.9,
+        color_bins=7,
+        color_channels=("value", "hue"),
+        equalization="joint",
+        saturation_weighting=True,
+        ratio=0.99,
+    )
+    source, target = (in_morton_order(side) for side in pair[:2])
+    features = []
+    for cloud, values in zip((source, target), joint_color_values(source, target), strict=True):
+        near = tr.neighbors(cloud, 1.2, 50)
+        geometry = tr.fpfh(tr.estimate_normals(cloud, near.restrict(0.45, 12)), near)
+        contrast = tr.contrast(cloud, near.restrict(0.9), 0.9)
+        color = tr.pcfh(
+            cloud, near.restrict(0.9), bins=7, channels=("value", "hue"), saturation_weighting=True, values=values
+        )
+        features.append(tr.fuse(geometry, contrast, color, weights=(1.0, 0.7, 0.4)))
+    expected = tr.match_mutual(*features, ratio=0.99)
+    assert same_bits(tr.register(pair.source, pair.target, options).correspondences, expected)
+
+
+@pytest.mark.parametrize("slots", [(40, 25), (25, 40)])
+def test_normals_and_features_have_their_own_numbers_of_neighbors(slots):
+    pair = room_pair(1500)
+    for_normals, for_features = slots
+    options = replace(
+        ROOM, color=(), color_weights=(), normal_max_neighbors=for_normals, feature_max_neighbors=for_features
+    )
+    features = []
+    for cloud in (in_morton_order(side) for side in pair[:2]):
+        near = tr.neighbors(cloud, 1.2, 40)
+        oriented = tr.estimate_normals(cloud, near.restrict(0.5, for_normals))
+        features.append(tr.fuse(tr.fpfh(oriented, near.restrict(1.2, for_features))))
+    expected = tr.match_mutual(*features)
+    assert same_bits(tr.register(pair.source, pair.target, options).correspondences, expected)
 
 
 def test_clouds_without_colors_are_found_and_the_notes_say_so():

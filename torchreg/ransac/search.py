@@ -113,7 +113,8 @@ class _Pool:
 def _orthonormal(rotation: Tensor) -> Tensor:
     """The nearest rotations to (3, 3, F) matrices that are rotations up to the rounding of a proposal."""
     u, _, vh = torch.linalg.svd(rotation.permute(2, 0, 1))
-    return (u @ vh).permute(1, 2, 0)
+    nearest: Tensor = u @ vh
+    return nearest.permute(1, 2, 0)
 
 
 def _proposal_dtype(source: Tensor, target: Tensor, threshold: float) -> torch.dtype:

@@ -121,7 +121,8 @@ def _thinning_voxel(cloud: Clouds) -> float:
     low, high = extent / 2**20, extent
     for _ in range(_BISECTIONS):
         middle = (low * high) ** 0.5
-        grid = (points / middle + 0.5).long()  # as voxel_downsample cuts; at most 2^20 cells a side: three fit into 62 bits
+        # cut as voxel_downsample does; at most 2^20 cells a side, so that three numbers fit into 62 bits
+        grid = (points / middle + 0.5).long()
         occupied = len(torch.unique((grid[:, 0] << 42) + (grid[:, 1] << 21) + grid[:, 2]))
         low, high = (middle, high) if occupied > THINNED_POINTS else (low, middle)
     return high

@@ -1,0 +1,5 @@
+"""``python -m torchreg`` is the command ``torchreg``."""
+
+from torchreg.cli import main
+
+main()

@@ -1,0 +1,44 @@
+"""The commands under one name."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from torchreg.cli.check import check
+from torchreg.cli.demo import demo
+from torchreg.cli.guard import GuardedGroup
+from torchreg.cli.info import info
+from torchreg.cli.register import register
+from torchreg.version import __version__
+
+app = typer.Typer(
+    cls=GuardedGroup,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+app.command()(register)
+app.command()(check)
+app.command()(info)
+app.command()(demo)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"torchreg {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def torchreg(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit (a switch).")
+    ] = False,
+) -> None:
+    """Global registration of colored point clouds: FPFH and color features, mutual matches, batched RANSAC.
+
+    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed.
+    """

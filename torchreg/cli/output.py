@@ -1,0 +1,60 @@
+"""Files and streams that the commands write to."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+from rich.console import Console
+
+from torchreg.errors import expect
+from torchreg.io.atomic import atomic_write
+
+STANDARD_OUTPUT = Path("-")
+
+
+class Output(NamedTuple):
+    """A file that an option asks for, and the suffixes it may have (empty: any)."""
+
+    option: str
+    path: Path | None
+    suffixes: tuple[str, ...] = ()
+
+
+def check_outputs(outputs: Sequence[Output], inputs: Sequence[Path]) -> None:
+    """See before the work begins that every output can be written and takes no other's place.
+
+    Raises:
+        ValueError: another suffix, no such folder, a folder of that name, or a path that is an input or another
+            output; the message names the option.
+    """
+    taken = {os.path.realpath(path): "an input" for path in inputs}
+    for option, path, suffixes in outputs:
+        if path is None or path == STANDARD_OUTPUT:
+            continue
+        known = not suffixes or path.suffix.lower() in suffixes
+        expect(known, option, "a name that ends in " + " or ".join(suffixes), os.fspath(path))
+        expect(path.absolute().parent.is_dir(), option, "a file in a folder that exists", os.fspath(path))
+        expect(not path.is_dir(), option, "a file", f"the folder {os.fspath(path)}")
+        real = os.path.realpath(path)
+        expect(real not in taken, option, "a file of its own", f"{os.fspath(path)}, {taken.get(real)}")
+        taken[real] = f"which {option} writes too"
+
+
+def write_json(path: Path, content: dict[str, object]) -> None:
+    """Write JSON to a file, in full or not at all, or to standard output for ``-``."""
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    if path == STANDARD_OUTPUT:
+        typer.echo(text, nl=False)
+        return
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+def standard_output() -> Console:
+    """Where tables go: no colors where it is not a terminal, and nothing in the text is taken for markup."""
+    return Console(markup=False, highlight=False, emoji=False)

@@ -1,0 +1,72 @@
+"""The registration's options: a preset, and what the command line says over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from torchreg.cli.options import Preset
+from torchreg.preprocess import voxel_downsample
+from torchreg.registration import PAPER, derive_options, spacing
+from torchreg.registration.scale import scaled_options, usable
+from torchreg.types import Clouds, RegistrationOptions
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overrides:
+    """What was given on the command line; ``None`` where nothing was. Lengths in meters.
+
+    Raises:
+        ValueError: a value that ``RegistrationOptions`` would refuse.
+    """
+
+    voxel: float | None = None
+    normal_radius: float | None = None
+    feature_radius: float | None = None
+    color_radius: float | None = None
+    inlier_threshold: float | None = None
+    hypotheses: int | None = None
+    confidence: float | None = None
+    no_color: bool = False
+
+    def __post_init__(self) -> None:
+        self.over(PAPER)
+
+    def over(self, options: RegistrationOptions) -> RegistrationOptions:
+        """The options with what was given in their place."""
+        return replace(
+            options,
+            voxel_size=_either(self.voxel, options.voxel_size),
+            normal_radius=_either(self.normal_radius, options.normal_radius),
+            feature_radius=_either(self.feature_radius, options.feature_radius),
+            color_radius=_either(self.color_radius, options.color_radius),
+            color=() if self.no_color else options.color,
+            color_weights=() if self.no_color else options.color_weights,
+            ransac=replace(
+                options.ransac,
+                inlier_threshold=_either(self.inlier_threshold, options.ransac.inlier_threshold),
+                hypotheses=_either(self.hypotheses, options.ransac.hypotheses),
+                confidence=_either(self.confidence, options.ransac.confidence),
+            ),
+        )
+
+
+def options_for(source: Clouds, target: Clouds, preset: Preset, overrides: Overrides) -> RegistrationOptions:
+    """Options for one pair: the paper's, or derived from the spacing the points have once they are downsampled.
+
+    A voxel size given with the default preset thus sets the scale of all lengths that are not given.
+    """
+    if preset is Preset.paper:
+        return overrides.over(PAPER)
+    if overrides.voxel is None or not (usable(source) and usable(target)):
+        return overrides.over(derive_options(source, target)[0])
+    thinned = [voxel_downsample(cloud, overrides.voxel) for cloud in (source, target)]
+    scale = max(float(spacing(cloud)) for cloud in thinned) or overrides.voxel
+    colored = source.colors is not None and target.colors is not None
+    return overrides.over(scaled_options(scale, colored=colored))
+
+
+def _either(given: _T | None, otherwise: _T) -> _T:
+    return otherwise if given is None else given

@@ -1,0 +1,72 @@
+"""The two clouds of a command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from torchreg.cli.options import viewpoint_of
+from torchreg.cli.progress import step
+from torchreg.io import CloudFile, read_cloud_report
+from torchreg.preprocess import random_downsample
+from torchreg.types import Clouds
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReadPair:
+    """Source and target, in this order throughout.
+
+    Attributes:
+        files: what reading them showed.
+        whole: all points of the files.
+        used: the points to be registered.
+    """
+
+    files: tuple[CloudFile, CloudFile]
+    whole: tuple[Clouds, Clouds]
+    used: tuple[Clouds, Clouds]
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """File name and size of both."""
+        return self._said(0), self._said(1)
+
+    @property
+    def colored(self) -> bool:
+        """Whether both have colors."""
+        return all(file.has_colors for file in self.files)
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Points in the files and points used, for JSON."""
+        numbers = zip(("source", "target"), self.files, self.used, strict=True)
+        return {name: {"in_file": file.points_in_file, "used": len(used.points)} for name, file, used in numbers}
+
+    def _said(self, which: int) -> str:
+        file, used = self.files[which], len(self.used[which].points)
+        part = "" if used == file.points_in_file else f"{used:,} of "
+        return f"{file.path}: {part}{file.points_in_file:,} points"
+
+
+def read_pair(source: Path, target: Path, *, viewpoint: str, points: int | None, seed: int) -> ReadPair:
+    """Read both files, and choose ``points`` of each at random where that is asked for.
+
+    Raises:
+        CloudFileError: a file that cannot be read as a cloud.
+        ValueError: ``viewpoint`` means nothing.
+    """
+    position = viewpoint_of(viewpoint)
+    files = []
+    for path in (source, target):
+        with step(f"reading {path.name}"):
+            files.append(read_cloud_report(path, viewpoint=position))
+    whole = (files[0].cloud, files[1].cloud)
+    used = whole
+    if points is not None:
+        generator = torch.Generator().manual_seed(seed)
+        used = (
+            random_downsample(whole[0], points, generator=generator),
+            random_downsample(whole[1], points, generator=generator),
+        )
+    return ReadPair(files=(files[0], files[1]), whole=whole, used=used)

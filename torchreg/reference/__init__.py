@@ -1,0 +1,10 @@
+"""The same pipeline run by Open3D, and how far the two agree.
+
+Open3D is imported when one of these functions is called.
+"""
+
+from torchreg.reference import open3d
+from torchreg.reference.compare import compare
+from torchreg.reference.comparison import Comparison
+
+__all__ = ["Comparison", "compare", "open3d"]

@@ -1,0 +1,123 @@
+"""The whole pipeline by Open3D: the same options, the same result type, another implementation.
+
+Its RANSAC draws from one generator that its threads share, so a seed does not make a run repeatable on several
+threads. It does not refit the winner to its inliers, and it calls every transform a success that brings one point
+near the target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from torchreg.errors import expect, one_of
+from torchreg.open3d_loader import load_open3d
+from torchreg.reference.pair import FEATURES, Found, register_pair
+from torchreg.reference.stages import estimate_normals, evaluate, fpfh, neighborhoods, voxel_downsample
+from torchreg.registration import derive_options
+from torchreg.registration.inspect import notes_on, refuse, set_aside
+from torchreg.registration.stopwatch import Stopwatch
+from torchreg.types import Clouds, Correspondences, HypothesisCounts, RegistrationOptions, RegistrationResult
+from torchreg.types.packing import offsets_of
+
+__all__ = ["estimate_normals", "evaluate", "fpfh", "neighborhoods", "register", "voxel_downsample"]
+
+
+def register(
+    source: Clouds,
+    target: Clouds,
+    options: RegistrationOptions | Sequence[RegistrationOptions] | None = None,
+    *,
+    seed: int = 0,
+    features: str = "fpfh",
+) -> RegistrationResult:
+    """Find the rigid transform of every pair with Open3D, pair by pair on the CPU.
+
+    Args:
+        source: B clouds.
+        target: B clouds.
+        options: as in ``torchreg.register``, lengths derived in the same way; those on color count for "fused".
+        seed: of Open3D's generator, for every pair.
+        features: "fpfh", Open3D's alone, or "fused", the very features that ``torchreg.register`` matches,
+            handed over (its rows that are not valid are left out).
+
+    Returns:
+        RegistrationResult on the CPU. ``hypotheses`` are -1: Open3D does not tell. ``notes`` say where it took
+        one-way matches because mutual ones were few.
+
+    Raises:
+        ValueError: different numbers of clouds, or another kind of features.
+        ImportError: Open3D is not there.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> tr.reference.open3d.register(pair.source, pair.target).T_target_source.shape
+        torch.Size([1, 4, 4])
+    """
+    expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
+    one_of(features, "features", FEATURES)
+    o3d = load_open3d()
+    watch = Stopwatch()
+    source, target = source.to("cpu"), target.to("cpu")
+    refused = refuse(source, target)
+    per_pair = _options_of_pairs(set_aside(source, refused), set_aside(target, refused), options)
+    watch.lap("options")
+    pairs = zip(source.unpack(), target.unpack(), per_pair, refused, strict=True)
+    found = []
+    for one, other, option, defect in pairs:
+        o3d.utility.random.seed(seed)
+        found.append(Found(reason=defect) if defect else register_pair(one, other, option, features, watch))
+    what = "on FPFH alone" if features == "fpfh" else "matches and RANSAC, on torchreg's features"
+    said = f"by Open3D {o3d.__version__}, {what}"
+    remarks = notes_on(source, target, per_pair)
+    notes = tuple((said, *more, *one.notes) for more, one in zip(remarks, found, strict=True))
+    return _collect(found, per_pair, notes, _by_stage(watch))
+
+
+def _options_of_pairs(
+    source: Clouds, target: Clouds, options: RegistrationOptions | Sequence[RegistrationOptions] | None
+) -> tuple[RegistrationOptions, ...]:
+    if options is None:
+        return derive_options(source, target)
+    per_pair = (options,) * len(source) if isinstance(options, RegistrationOptions) else tuple(options)
+    expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
+    return per_pair
+
+
+def _by_stage(watch: Stopwatch) -> tuple[tuple[str, float], ...]:
+    """Seconds of every stage, summed over the pairs, in the order in which they first came."""
+    total: dict[str, float] = {}
+    for name, seconds in watch.laps():
+        total[name] = total.get(name, 0.0) + seconds
+    return tuple(total.items())
+
+
+def _collect(
+    found: list[Found],
+    options: tuple[RegistrationOptions, ...],
+    notes: tuple[tuple[str, ...], ...],
+    seconds: tuple[tuple[str, float], ...],
+) -> RegistrationResult:
+    empty = Found()
+    first = torch.stack([offsets_of(one.points[side] for one in found) for side in (0, 1)], dim=1)  # (B+1, 2)
+    matches = torch.cat([empty.matches, *(one.matches + at for one, at in zip(found, first[:-1], strict=True))])
+    return RegistrationResult(
+        T_target_source=torch.stack([one.T for one in found]) if found else torch.zeros(0, 4, 4, dtype=torch.float64),
+        inliers=torch.cat([empty.inliers, *(one.inliers for one in found)]),
+        fitness=torch.tensor([one.fitness for one in found], dtype=torch.float64),
+        inlier_rmse=torch.tensor([one.inlier_rmse for one in found], dtype=torch.float64),
+        success=torch.tensor([not one.reason for one in found], dtype=torch.bool),
+        reason=tuple(one.reason for one in found),
+        hypotheses=HypothesisCounts(*torch.full((3, len(found)), -1).unbind(0)),
+        correspondences=Correspondences(
+            matches[:, 0].contiguous(),
+            matches[:, 1].contiguous(),
+            offsets_of(len(one.matches) for one in found),
+            torch.cat([empty.score, *(one.score for one in found)]),
+        ),
+        options=options,
+        notes=notes,
+        seconds=seconds,
+    )

@@ -1,0 +1,130 @@
+"""Pairs whose vote rounding decides: where two right implementations of FPFH may differ.
+
+A vote of a pair goes to another bin when a feature lies on the edge between two bins; when |a1| = |a2|, so that
+either point may take the first place and the two ways differ (with equal or opposite normals rounding is the same
+on both sides, and no tie); or when the line is almost along the first normal,
+or the second normal along v, so that an angle has hardly a direction. Found from the definition with vectors and
+an arc tangent, apart from the kernel that is compared.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors.histograms import neighbor_votes
+from torchreg.descriptors.pair_features import ANGLE_BINS
+from torchreg.geometry.chunks import row_chunks
+from torchreg.types import Clouds, Neighborhoods
+
+KINDS = ("edge of f1", "edge of f2", "edge of f3", "exchange", "line along a normal")
+EPSILON = 1e-12
+"""Rounding of a feature, in widths of a bin (the exchange: in cosines): a hundred times that of float64."""
+
+_PARALLEL = 1e-7  # sine of line and normal, below which v has lost half of its digits
+_ROUNDING = 1e-15
+
+
+class Tie(NamedTuple):
+    """One vote that rounding decides.
+
+    Attributes:
+        row: the point whose histogram the vote goes to.
+        neighbor: the other point of the pair.
+        kind: one of ``KINDS``.
+    """
+
+    row: int
+    neighbor: int
+    kind: str
+
+
+class Ties(NamedTuple):
+    """All of a cloud.
+
+    Attributes:
+        pairs: every one, by row.
+        touched: (P,) bool, rows of FPFH with a tie in their own histogram or in that of a neighbor.
+    """
+
+    pairs: list[Tie]
+    touched: Tensor
+
+
+def find_ties(cloud: Clouds, near: Neighborhoods, epsilon: float = EPSILON) -> Ties:
+    """The ties among the pairs that vote.
+
+    Args:
+        cloud: points and normals, float64.
+        near: their neighborhoods.
+        epsilon: as ``EPSILON``.
+    """
+    normals = cloud.normals
+    if normals is None:
+        raise ValueError("cloud: expected normals, got none")
+    own = torch.zeros(len(near), dtype=torch.bool)
+    pairs: list[Tie] = []
+    for rows in row_chunks(len(near), near.max_neighbors):
+        index, counted = near.index[rows], neighbor_votes(near.index, near.valid, rows)
+        query = (cloud.points[rows, None], normals[rows, None])
+        neighbor = (cloud.points[index], normals[index])
+        tied = _tied(query, neighbor, epsilon) & counted[..., None]  # (r, K, kinds)
+        own[rows] = tied.any(dim=2).any(dim=1)
+        for row, slot, kind in tied.nonzero().tolist():
+            pairs.append(Tie(rows.start + row, int(index[row, slot]), KINDS[kind]))
+    touched = own.clone()
+    for rows in row_chunks(len(near), near.max_neighbors):
+        touched[rows] |= (own[near.index[rows]] & near.valid[rows]).any(dim=1)
+    return Ties(pairs, touched)
+
+
+class _Positions(NamedTuple):
+    """Of the three features on the axis of their 11 bins, (..., 3), and how far rounding moves each, (..., 3)."""
+
+    value: Tensor
+    rounding: Tensor
+    sine: Tensor
+
+
+def _tied(query: tuple[Tensor, Tensor], neighbor: tuple[Tensor, Tensor], epsilon: float) -> Tensor:
+    """(r, K, kinds) bool for points and normals (r, 1, 3) and (r, K, 3)."""
+    (p1, n1), (p2, n2) = query, neighbor
+    line = p2 - p1
+    length = line.norm(dim=-1, keepdim=True)
+    line = line / torch.where(length > 0, length, torch.ones_like(length))
+    first, second = (n1 * line).sum(dim=-1), (n2 * line).sum(dim=-1)
+    forth, back = _positions(n1, n2, line), _positions(n2, n1, -line)
+    exchange = first.abs() < second.abs()
+    chosen = _Positions(*(torch.where(exchange[..., None], b, a) for a, b in zip(forth, back, strict=True)))
+    edge = chosen.value.round()
+    on_edge = (chosen.value - edge).abs() < epsilon + chosen.rounding
+    on_edge[..., 1:] &= (edge[..., 1:] > 0) & (edge[..., 1:] < ANGLE_BINS)  # beyond the ends there is no other bin
+    even = (first.abs() - second.abs()).abs() < epsilon
+    even &= (n1 != n2).any(dim=-1) & (n1 != -n2).any(dim=-1)
+    differ = (_bins(forth.value) != _bins(back.value)).any(dim=-1)
+    parallel = (chosen.sine[..., 0] > 0) & (chosen.sine[..., 0] < _PARALLEL)
+    proper = (length[..., 0] > 0) & (chosen.sine[..., 0] > 0)  # a degenerate pair votes for the middle bins, exactly
+    tied: Tensor = torch.cat([on_edge, (even & differ)[..., None], parallel[..., None]], dim=-1) & proper[..., None]
+    return tied
+
+
+def _positions(n1: Tensor, n2: Tensor, line: Tensor) -> _Positions:
+    """Features of oriented points along a unit line, the first in the first place."""
+    v = torch.linalg.cross(line, n1.expand_as(line), dim=-1)
+    sine = v.norm(dim=-1, keepdim=True)
+    v = v / torch.where(sine > 0, sine, torch.ones_like(sine))
+    w = torch.linalg.cross(n1.expand_as(v), v, dim=-1)
+    x, y = (n1 * n2).sum(dim=-1), (w * n2).sum(dim=-1)
+    f2, f3 = (v * n2).sum(dim=-1), (n1 * line).sum(dim=-1)
+    f1 = torch.atan2(y, x)
+    value = torch.stack([(f1 + math.pi) / math.pi, f2 + 1, f3 + 1], dim=-1) * (ANGLE_BINS / 2)
+    of_v = _ROUNDING / sine[..., 0].clamp_min(_ROUNDING)
+    rounding = torch.stack([of_v / torch.hypot(x, y).clamp_min(_ROUNDING), of_v, torch.zeros_like(of_v)], dim=-1)
+    return _Positions(value, rounding, sine.expand_as(value))
+
+
+def _bins(positions: Tensor) -> Tensor:
+    return positions.floor().clamp(0, ANGLE_BINS - 1)

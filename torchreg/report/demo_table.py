@@ -1,0 +1,80 @@
+"""What several methods found on one pair with known truth: a table, and one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.table import Table
+from torch import Tensor
+
+from torchreg.report.truth import TruthErrors
+
+_TURNED_ROUND = 170.0  # degrees
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DemoRow:
+    """One method on one pair.
+
+    Attributes:
+        method: its name.
+        points: of source and target that it worked on.
+        inlier_ratio: share of its matches that the truth brings nearer than ``threshold``.
+        threshold: meters.
+        errors: of its transform under the truth.
+        seconds: that it took.
+        success: what it says of itself.
+        right: what the truth says.
+        T_target_source: (4, 4) what it found.
+    """
+
+    method: str
+    points: tuple[int, int]
+    inlier_ratio: float
+    threshold: float
+    errors: TruthErrors
+    seconds: float
+    success: bool
+    right: bool
+    T_target_source: Tensor
+
+
+def demo_table(rows: Sequence[DemoRow]) -> Table:
+    """A line for every method."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("method", no_wrap=True)
+    for name in ("points", "right\nmatches", "RRE\n(deg)", "RTE\n(m)", "RMSE\n(m)", "time\n(s)"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("result", no_wrap=True)
+    for row in rows:
+        verdict = "right" if row.right else "wrong"
+        rre, rte, rmse = row.errors
+        table.add_row(
+            row.method,
+            f"{max(row.points):,}",
+            f"{100 * row.inlier_ratio:.2f} %",
+            *((f"{rre:.2f}", f"{rte:.3f}", f"{rmse:.3f}") if row.success else ("-", "-", "-")),
+            f"{row.seconds:.1f}",
+            verdict if row.success else "refused",
+        )
+    return table
+
+
+def demo_sentence(plain: DemoRow, fused: DemoRow) -> str:
+    """One sentence on what is seen of one hall, without and with color.
+
+    Args:
+        plain: geometry alone.
+        fused: geometry and color, otherwise the same.
+    """
+    matches = f"{100 * fused.inlier_ratio:.1f} % of the matches are right instead of {100 * plain.inlier_ratio:.1f} %"
+    if fused.right and plain.right:
+        return f"The walls of both scans lie on each other with color and without; with color, {matches}."
+    if fused.right:
+        wrong = f"turned by {plain.errors.rre_degrees:.0f} degrees and moved by {plain.errors.rte_meters:.1f} m"
+        if plain.errors.rre_degrees > _TURNED_ROUND:
+            wrong += ", wall on wall but shops and furniture elsewhere"
+        return f"Without color one scan ends up {wrong}; with color all of it coincides, and {matches}."
+    other = "without it they do" if plain.right else "nor without it"
+    return f"With color the walls of the two scans do not lie on each other, {other}; {matches}."
