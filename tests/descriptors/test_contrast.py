@@ -3,6 +3,7 @@
 import oracles
 import pytest
 import torch
+from closeness import close
 from determinism import assert_nothing_shows, pieces, same_bits
 from problems import garbage_in_invalid_slots, random_transform, room_pair, sphere_cloud
 from refusals import refuses
@@ -16,21 +17,21 @@ def test_values_are_those_of_plain_loops(seed):
     near = tr.neighbors(cloud, 0.7, 60)
     found = tr.contrast(cloud, near, 0.7)
     assert found.blocks == (("contrast", 10),)
-    assert torch.allclose(found.values, oracles.contrast(cloud.colors, near, 0.7), atol=1e-9)
+    assert close(found.values, oracles.contrast(cloud.colors, near, 0.7), atol=1e-9)
 
 
 def test_float32_is_within_rounding():
     scan = room_pair(500).source
     near = tr.neighbors(scan, 0.9, 60)
     expected = oracles.contrast(scan.colors, near, 0.9)
-    assert torch.allclose(tr.contrast(scan, near, 0.9).values.double(), expected, atol=1e-3)
+    assert close(tr.contrast(scan, near, 0.9).values.double(), expected, atol=1e-3)
 
 
 def test_one_color_has_no_contrast_but_the_constant():
     cloud = sphere_cloud(80)
     plain = tr.Clouds(points=cloud.points, colors=torch.full_like(cloud.points, 0.4))
     features = tr.contrast(plain, tr.neighbors(plain, 0.8, 40), 0.8)
-    assert torch.allclose(features.values[features.valid, :9], torch.zeros(9, dtype=torch.float64), atol=1e-12)
+    assert close(features.values[features.valid, :9], torch.zeros(9, dtype=torch.float64), atol=1e-12)
     assert torch.allclose(features.values[features.valid, 9], torch.tensor(0.3, dtype=torch.float64))
 
 
@@ -50,11 +51,11 @@ def test_a_rigid_motion_and_another_order_change_nothing():
     cloud = sphere_cloud(200)
     expected = tr.contrast(cloud, tr.neighbors(cloud, 0.6, 60), 0.6).values
     moved = tr.transform(cloud, random_transform(torch.Generator().manual_seed(1)))
-    assert torch.allclose(tr.contrast(moved, tr.neighbors(moved, 0.6, 60), 0.6).values, expected, atol=1e-9)
+    assert close(tr.contrast(moved, tr.neighbors(moved, 0.6, 60), 0.6).values, expected, atol=1e-9)
     order = torch.randperm(200, generator=torch.Generator().manual_seed(2))
     shuffled = cloud.rows(order, cloud.offsets)
     found = tr.contrast(shuffled, tr.neighbors(shuffled, 0.6, 60), 0.6).values
-    assert torch.allclose(found, expected[order], atol=1e-9)
+    assert close(found, expected[order], atol=1e-9)
 
 
 def test_a_point_alone_is_not_valid():

@@ -3,6 +3,7 @@
 import oracles
 import pytest
 import torch
+from closeness import close
 from determinism import assert_nothing_shows, pieces, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,7 +32,7 @@ def test_values_are_those_of_plain_loops(mode, seed):
     found = tr.fpfh(cloud, near, mode=mode)
     expected = oracles.fpfh(cloud.points, cloud.normals, near, own=mode == "open3d")
     assert found.blocks == (("fpfh", 33),)
-    assert torch.allclose(found.values, expected, atol=1e-9)
+    assert close(found.values, expected, atol=1e-9)
 
 
 def test_values_in_float32_are_close_to_those_in_float64():
@@ -58,8 +59,8 @@ def test_simplified_histograms_are_percents_of_whole_votes():
     near = tr.neighbors(cloud, 0.9, 25)
     spfh = simplified_histograms(cloud.points, cloud.normals, near)
     votes = spfh * (near.counts() - 1)[:, None] / 100
-    assert torch.allclose(votes, votes.round(), atol=1e-12)
-    assert torch.allclose(spfh, oracles.spfh(cloud.points, cloud.normals, near), atol=1e-9)
+    assert close(votes, votes.round(), atol=1e-12)
+    assert close(spfh, oracles.spfh(cloud.points, cloud.normals, near), atol=1e-9)
 
 
 def test_a_point_without_neighbors_is_not_valid():
@@ -76,7 +77,7 @@ def test_duplicates_of_a_point_vote_but_weigh_nothing():
     near = tr.neighbors(twice, 1.0, 20)
     found = tr.fpfh(twice, near)
     assert torch.isfinite(found.values).all()
-    assert torch.allclose(found.values, oracles.fpfh(twice.points, twice.normals, near), atol=1e-9)
+    assert close(found.values, oracles.fpfh(twice.points, twice.normals, near), atol=1e-9)
 
 
 @pytest.mark.parametrize("gap", [1e-15, 1e-18, 1e-19, 1e-20, 1e-22])
@@ -106,7 +107,7 @@ def test_a_change_of_unit_changes_nothing():
     cloud = sphere_cloud(150)
     feet = bare(3.25 * cloud.points, cloud.normals)
     expected = tr.fpfh(cloud, tr.neighbors(cloud, 0.6, 30)).values
-    assert torch.allclose(tr.fpfh(feet, tr.neighbors(feet, 0.6 * 3.25, 30)).values, expected, atol=1e-9)
+    assert close(tr.fpfh(feet, tr.neighbors(feet, 0.6 * 3.25, 30)).values, expected, atol=1e-9)
 
 
 @settings(max_examples=10)
@@ -116,7 +117,7 @@ def test_a_permutation_of_points_permutes_the_rows(seed):
     order = torch.randperm(150, generator=torch.Generator().manual_seed(seed))
     shuffled = cloud.rows(order, cloud.offsets)
     expected = tr.fpfh(cloud, tr.neighbors(cloud, 0.6, 30)).values[order]
-    assert torch.allclose(tr.fpfh(shuffled, tr.neighbors(shuffled, 0.6, 30)).values, expected, atol=1e-9)
+    assert close(tr.fpfh(shuffled, tr.neighbors(shuffled, 0.6, 30)).values, expected, atol=1e-9)
 
 
 def test_mirrored_geometry_is_told_apart():
@@ -124,7 +125,7 @@ def test_mirrored_geometry_is_told_apart():
     mirror = torch.tensor([1.0, 1, -1], dtype=torch.float64)
     mirrored = bare(cloud.points * mirror, cloud.normals * mirror)
     near = tr.neighbors(cloud, 0.6, 30)
-    assert not torch.allclose(tr.fpfh(cloud, near).values, tr.fpfh(mirrored, near).values, atol=1.0)
+    assert not close(tr.fpfh(cloud, near).values, tr.fpfh(mirrored, near).values, atol=1.0)
 
 
 def test_garbage_in_invalid_slots_changes_nothing():

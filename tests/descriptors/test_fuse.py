@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from closeness import close
 from determinism import THREADS, same_bits, threads
 from problems import room_pair
 from refusals import refuses
@@ -30,10 +31,10 @@ def test_fpfh_and_pcfh_make_44_columns_of_unit_blocks():
     assert fused.blocks == (("fpfh", 33), ("pcfh", 11))
     for part, block in ((geometry, fused.block("fpfh")), (color, fused.block("pcfh"))):
         length = torch.linalg.vector_norm(block, dim=1)
-        assert torch.allclose(length[part.valid], torch.ones(()), atol=1e-6)
+        assert close(length[part.valid], torch.ones(()), atol=1e-6)
         assert not block[~part.valid].any()
         cosine = torch.nn.functional.cosine_similarity(block[part.valid], part.values[part.valid])
-        assert torch.allclose(cosine, torch.ones(()), atol=1e-6)
+        assert close(cosine, torch.ones(()), atol=1e-6)
 
 
 def test_weights_are_the_lengths_of_blocks():

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from closeness import close
 from determinism import THREADS, pieces, same_bits, threads
 from hypothesis import given
 from hypothesis import strategies as st
@@ -48,7 +49,7 @@ def test_a_weighted_sum_adds_the_neighbors_of_a_row(dtype):
     expected = (table.double()[index] * weights.double()[..., None]).sum(dim=1)
     found = weighted_sum(table, index, weights)
     assert found.dtype == dtype
-    assert torch.allclose(found.double(), expected, atol=1e-5 if dtype == torch.float32 else 1e-14)
+    assert close(found.double(), expected, atol=1e-5 if dtype == torch.float32 else 1e-14)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -5,6 +5,7 @@ import math
 import oracles
 import pytest
 import torch
+from closeness import close
 from determinism import same_bits
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,7 +38,7 @@ def test_random_pairs_have_the_angles_of_the_textbook():
         oracles.pair_angles(*numbers)
         for numbers in zip(*(side[which].tolist() for which in (0, 1) for side in (points, normals)), strict=True)
     ]
-    assert torch.allclose(found, torch.tensor(expected, dtype=torch.float64), atol=1e-9)
+    assert close(found, torch.tensor(expected, dtype=torch.float64), atol=1e-9)
 
 
 def test_the_direction_of_the_first_angle_is_a_unit_vector_of_its_plane():
@@ -45,7 +46,7 @@ def test_the_direction_of_the_first_angle_is_a_unit_vector_of_its_plane():
     pair = pair_features(oriented(points[0], normals[0]), oriented(points[1], normals[1]))
     # n2 has the coordinates (n1.n2, v.n2, w.n2) in the frame (n1, v, w)
     length = pair.cosine.square() + pair.sine.square() + pair.f2.square()
-    assert torch.allclose(length, torch.ones_like(length), atol=1e-12)
+    assert close(length, torch.ones_like(length), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +70,7 @@ def test_a_pair_seen_from_either_side_has_the_same_angles():
     points, normals = random_pairs(500)
     forth, back = angles(points, normals), angles(points.flip(0), normals.flip(0))
     for one, other in zip(forth, back, strict=True):
-        assert torch.allclose(one, other, atol=1e-12)
+        assert close(one, other, atol=1e-12)
 
 
 @given(st.integers(0, 2**31))
@@ -78,7 +79,7 @@ def test_a_rigid_motion_and_a_change_of_unit_leave_the_angles_alone(seed):
     R = random_rotation(torch.Generator().manual_seed(seed))
     moved = angles(7.5 * points @ R.t() + torch.tensor([3.0, -1, 2]), normals @ R.t())
     for one, other in zip(angles(points, normals), moved, strict=True):
-        assert torch.allclose(one, other, atol=1e-9)
+        assert close(one, other, atol=1e-9)
 
 
 def test_every_pair_has_its_bits_whatever_stands_beside_it():

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from closeness import close
 from determinism import assert_nothing_shows, pieces, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -23,7 +24,7 @@ def test_a_plane_has_one_normal_on_the_side_of_the_viewpoint(seed):
         moved = tr.transform(seen, T)
         found = tr.estimate_normals(moved, tr.neighbors(moved, 1.0, 20)).normals
         expected = (T[:3, 2] * (1 if height > 0 else -1)).expand(80, 3)
-        assert torch.allclose(found, expected, atol=1e-7)
+        assert close(found, expected, atol=1e-7)
 
 
 def test_a_sphere_has_its_radius_as_normal():
@@ -37,7 +38,7 @@ def test_normals_are_unit_vectors_that_face_the_viewpoint():
     scan = room_pair(3000).source
     found = tr.estimate_normals(scan, tr.neighbors(scan, 0.5, 30)).normals
     length = torch.linalg.vector_norm(found, dim=1)
-    assert torch.allclose(length, torch.ones(()), atol=1e-6)
+    assert close(length, torch.ones(()), atol=1e-6)
     assert ((found * (scan.viewpoint - scan.points)).sum(dim=1) >= -1e-5).all()
 
 
@@ -81,7 +82,7 @@ def test_normals_turn_with_the_cloud(seed):
     expected = tr.estimate_normals(scan, near).normals @ R.t()
     found = tr.estimate_normals(turned, near).normals
     clear = near.counts() >= 4  # with three neighbors a thin triangle may have no clear normal
-    assert torch.allclose(found[clear], expected[clear], atol=1e-6)
+    assert close(found[clear], expected[clear], atol=1e-6)
 
 
 def test_the_order_of_points_does_not_matter():
@@ -90,7 +91,7 @@ def test_the_order_of_points_does_not_matter():
     shuffled = scan.rows(order, scan.offsets)
     found = tr.estimate_normals(shuffled, tr.neighbors(shuffled, 0.6, 30)).normals
     expected = tr.estimate_normals(scan, tr.neighbors(scan, 0.6, 30)).normals
-    assert torch.allclose(found, expected[order], atol=1e-9)
+    assert close(found, expected[order], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +117,7 @@ def test_points_on_a_line_have_normals_across_it():
     line = torch.arange(20.0)[:, None] * torch.tensor([[0.1, 0.2, -0.1]])
     one = tr.Clouds(points=line, viewpoint=torch.tensor([[0.0, 0, 50]]))
     found = tr.estimate_normals(one, tr.neighbors(one, 1.0, 10)).normals
-    assert torch.allclose(torch.linalg.vector_norm(found, dim=1), torch.ones(()), atol=1e-6)
+    assert close(torch.linalg.vector_norm(found, dim=1), torch.ones(()), atol=1e-6)
     assert ((found @ line[1]).abs() < 1e-3).all()
 
 
@@ -148,6 +149,14 @@ def test_neither_threads_nor_pieces_change_a_bit():
     scan = room_pair(6000).source
     near = tr.neighbors(scan, 0.5, 30)
     assert_nothing_shows(lambda: tr.estimate_normals(scan, near))
+
+
+def test_float32_points_are_worked_on_in_float64():
+    scan = room_pair(500).source
+    far = tr.Clouds(points=scan.points + 1000)  # differences of such neighbors are exact in float32
+    near = tr.neighbors(far, 1.0, 30)
+    wide = tr.estimate_normals(far.to(dtype=torch.float64), near)
+    assert same_bits(tr.estimate_normals(far, near).normals, wide.normals.float())
 
 
 def test_one_row_at_a_time_gives_the_same_bits():

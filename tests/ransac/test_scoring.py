@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from closeness import close
 from determinism import THREADS, pieces, same_bits, threads
 from problems import random_rotation
 
@@ -27,7 +28,7 @@ def test_the_inner_product_is_the_squared_distance():
     rotation, translation, source, target = hypotheses(20, 30)
     product = hypothesis_vectors(rotation, translation) @ correspondence_vectors(source, target)
     square = product + (translation * translation).sum(dim=0)[:, None]
-    assert torch.allclose(square, residuals(rotation, translation, source, target), atol=1e-12)
+    assert close(square, residuals(rotation, translation, source, target), atol=1e-12)
 
 
 def assert_close_to_exact(proposed, rotation, translation, source, target, threshold):

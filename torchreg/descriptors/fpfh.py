@@ -14,6 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, inverse_square_weights, neighbor_votes, weighted_sum
 from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
 from torchreg.errors import expect, expect_floating, one_of
@@ -62,8 +63,8 @@ def fpfh(cloud: Clouds, near: Neighborhoods, *, mode: str = "open3d", binning: s
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
     """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
-    wide = (*points.detach().double().unbind(1), *normals.detach().double().unbind(1))  # see pair_features
-    columns = [column.contiguous() for column in wide]
+    kernel = pair_features if points.dtype == torch.float64 else compact_pair_features
+    columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
     out = points.new_empty(len(points), FPFH_SIZE)
     for rows in row_chunks(len(points), near.max_neighbors):
         counted = neighbor_votes(near.index, near.valid, rows)
@@ -71,7 +72,7 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
         index = near.index[rows]
         query = Oriented(*(column[rows, None] for column in columns))
         neighbor = Oriented(*(column[index] for column in columns))
-        pair = pair_features(query, neighbor)
+        pair = kernel(query, neighbor)
         bins = (angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3))
         counts = torch.cat([count_votes(bin_, votes, ANGLE_BINS) for bin_ in bins], dim=1)  # (r, 33)
         total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(points.dtype)

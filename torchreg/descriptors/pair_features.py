@@ -10,10 +10,10 @@ with the line d takes the first place):
 
 Where L = 0 or d is parallel to n1, all three are zero.
 
-Between almost parallel normals |a1| and |a2| differ by less than the rounding of float32, and the exchange turns
-the sign of f3. One pair decided the other way shows in the histograms of all its neighbors: with these features
-in float32, up to 5 % of the rows of a real scan were off. So whoever counts votes hands over float64. The steps
-are Open3D's, in its order of operations, so that rounding decides alike where only rounding decides.
+The steps are Open3D's, in its order of operations, so that in float64 rounding decides alike where only rounding
+decides. In float32 the comparison of |a1| and |a2| would be lost between almost parallel normals: one pair decided
+the other way shows in the histograms of all its neighbors, in up to 5 % of the rows of a real scan. For float32
+``compact_pairs`` arranges the same numbers so that this does not happen.
 """
 
 from __future__ import annotations

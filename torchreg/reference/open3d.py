@@ -67,8 +67,11 @@ def register(
     pairs = zip(source.unpack(), target.unpack(), per_pair, refused, strict=True)
     found = []
     for one, other, option, defect in pairs:
+        if defect:
+            found.append(Found(reason=defect, points=(len(one.points), len(other.points))))
+            continue
         o3d.utility.random.seed(seed)
-        found.append(Found(reason=defect) if defect else register_pair(one, other, option, features, watch))
+        found.append(register_pair(one, other, option, features, watch))
     what = "on FPFH alone" if features == "fpfh" else "matches and RANSAC, on torchreg's features"
     said = f"by Open3D {o3d.__version__}, {what}"
     remarks = notes_on(source, target, per_pair)

@@ -31,7 +31,7 @@ class Found:
         matches: (M, 2) int64, rows of the pair's own clouds after downsampling.
         score: (M,) float64, distances in feature space.
         inliers: (M,) bool.
-        points: numbers of points after downsampling.
+        points: numbers of points that the matches' rows count, of both clouds.
         fitness, inlier_rmse: as Open3D returns them.
         notes: what a user should know.
     """
