@@ -40,8 +40,16 @@ def fpfh_alone(source: tr.Clouds, target: tr.Clouds, voxel: float) -> tr.Registr
 def paper_rule(source: tr.Clouds, target: tr.Clouds, voxel: float) -> tr.RegistrationResult:
     """The paper's proportions 2 : 5 : 2 m at this voxel size, 11 bins of hue equalized per cloud, equal weights."""
     color = ("pcfh",) if source.colors is not None else ()
-    options = replace(scaled_options(voxel, colored=False), color=color, color_weights=(1.0,) * len(color))
-    return tr.register(source, target, replace(options, color_radius=2 * voxel))
+    options = replace(
+        tr.PAPER,
+        normal_radius=2 * voxel,
+        feature_radius=5 * voxel,
+        color=color,
+        color_weights=(1.0,) * len(color),
+        color_radius=2 * voxel,
+        ransac=replace(tr.PAPER.ransac, inlier_threshold=1.5 * voxel),
+    )
+    return tr.register(source, target, options)
 
 
 def default(source: tr.Clouds, target: tr.Clouds, voxel: float) -> tr.RegistrationResult:

@@ -9,6 +9,7 @@ from host_transfers import HostTransfers
 from problems import room_pair
 
 import torchreg as tr
+from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, inverse_square_weights, weighted_sum
 from torchreg.descriptors.pair_features import Oriented, angle_bins, pair_features, unit_bins
 from torchreg.descriptors.pcfh import difference_bins
@@ -36,6 +37,10 @@ def oriented(*shape):
 KERNELS = {
     "pair_features": (
         lambda *columns: pair_features(Oriented(*columns[:6]), Oriented(*columns[6:])),
+        [*oriented(ROWS, 1), *oriented(ROWS, SLOTS)],
+    ),
+    "compact_pair_features": (
+        lambda *columns: compact_pair_features(Oriented(*columns[:6]), Oriented(*columns[6:])),
         [*oriented(ROWS, 1), *oriented(ROWS, SLOTS)],
     ),
     "angle_bins": (angle_bins, [numbers(ROWS, SLOTS), numbers(ROWS, SLOTS)]),

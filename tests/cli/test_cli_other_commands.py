@@ -57,7 +57,7 @@ def test_markup_and_escapes_in_names_are_text(run, tmp_path, room):
 
 def test_demo(run, tmp_path):
     picture, out = tmp_path / "p.png", tmp_path / "out"
-    result = run("demo", "--angular-step", "1", "--points", "1500", "--figure", picture, "--out", out)
+    result = run("demo", "--angular-step", "1", "--figure", picture, "--out", out)
     assert result.exit_code == 0, result.output
     for words in ("paper: FPFH alone", "paper: FPFH + PCFH", "default without color", "right"):
         assert words in result.stdout

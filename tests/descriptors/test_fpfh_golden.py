@@ -106,8 +106,8 @@ def test_a_histogram_of_equal_widths_elsewhere_is_noticed(monkeypatch):
     assert in_float64.off_without_tie > 0
 
 
-def test_features_in_float32_are_noticed(monkeypatch):
-    # between almost parallel normals float32 cannot tell which point takes the first place
+def test_the_plain_steps_in_float32_are_noticed(monkeypatch):
+    # between almost parallel normals they cannot tell which point takes the first place
     module = import_module("torchreg.descriptors.fpfh")
     monkeypatch.setattr(module, "compact_pair_features", module.pair_features)
     clusters = torch.rand(40, 1, 3, generator=torch.Generator().manual_seed(0)) * 20

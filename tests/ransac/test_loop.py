@@ -279,9 +279,9 @@ def test_points_far_from_their_zero_are_found_as_well():
 
 
 def test_a_large_scene_with_a_small_threshold_is_found():
-    # coordinates of 2 km in float32 are no good to 0.05 mm: the proposal must be made in float64
-    problem = correspondence_problem(300, 0.5, size=2000.0, noise=1e-6)
-    result = run(problem, tr.RansacOptions(inlier_threshold=5e-5, hypotheses=50_000))
+    # coordinates of 2 km in float32 are no good to a thousandth of a millimeter: proposals must be made in float64
+    problem = correspondence_problem(300, 0.5, size=2000.0, noise=1e-8)
+    result = run(problem, tr.RansacOptions(inlier_threshold=1e-6, hypotheses=50_000))
     assert result.success.all()
     assert (result.inliers == problem.is_inlier).float().mean() > 0.95
 

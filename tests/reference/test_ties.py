@@ -8,7 +8,7 @@ import torch
 from problems import sphere_cloud
 
 import torchreg as tr
-from torchreg.reference.ties import KINDS, find_ties
+from torchreg.reference.ties import KINDS, ROUNDING, Rounding, find_ties
 
 
 def chain(points, normals):
@@ -18,8 +18,8 @@ def chain(points, normals):
     return cloud, tr.neighbors(cloud, 1.5, 4)
 
 
-def kinds_of_pair(line, first, second, epsilon=1e-12):
-    return {tie.kind for tie in find_ties(*chain([[0, 0, 0], line], [first, second]), epsilon).pairs}
+def kinds_of_pair(line, first, second, dtype=torch.float64):
+    return {tie.kind for tie in find_ties(*chain([[0, 0, 0], line], [first, second]), ROUNDING[dtype]).pairs}
 
 
 def leaning(cosine, along=1.0):
@@ -35,7 +35,7 @@ def test_a_cosine_on_the_edge_of_a_bin_is_a_tie(edge):
     cosine = 2 * edge / 11 - 1
     assert kinds_of_pair(leaning(cosine), (0, 0, 1), SIDE) == {"edge of f3"}
     assert kinds_of_pair(leaning(cosine + 1e-10), (0, 0, 1), SIDE) == set()
-    assert kinds_of_pair(leaning(cosine + 1e-10), (0, 0, 1), SIDE, epsilon=1e-8) == {"edge of f3"}
+    assert kinds_of_pair(leaning(cosine + 1e-10), (0, 0, 1), SIDE, torch.float32) == {"edge of f3"}
 
 
 def test_the_ends_of_a_cosine_are_no_edges():
@@ -71,9 +71,27 @@ def test_equal_normals_are_no_tie():
     assert kinds_of_pair(leaning(0.3), (0.1, 0.2, 0.9), (0.1, 0.2, 0.9)) == set()
 
 
-@pytest.mark.parametrize(("lean", "expected"), [(1e-9, True), (1e-5, False), (0.0, False)])
-def test_a_line_almost_along_a_normal_is_a_tie(lean, expected):
-    kinds = kinds_of_pair([lean, 0.0, 1.0], (0, 0, 1), SIDE)
+def test_nearly_equal_normals_are_no_tie_in_float32():
+    # their difference is exact, and with it the comparison of the cosines; not so where they are far apart
+    line, close = [1.0, 0.0, 0.0], (0.4 + 1e-6, 0.9, 0.1)
+    assert kinds_of_pair(line, (0.4, 0.9, 0.1), close, torch.float32) == set()
+    lean, upright = 0.4 + 1e-7, math.sqrt(1 - 0.16)
+    assert kinds_of_pair(line, (0.4, upright, 0), (lean, 0, upright)) == set()
+    assert kinds_of_pair(line, (0.4, upright, 0), (lean, 0, upright), torch.float32) == {"exchange"}
+
+
+@pytest.mark.parametrize(
+    ("lean", "dtype", "expected"),
+    [
+        (1e-9, torch.float64, True),
+        (1e-5, torch.float64, False),
+        (1e-5, torch.float32, True),
+        (1e-2, torch.float32, False),
+        (0.0, torch.float64, False),
+    ],
+)
+def test_a_line_almost_along_a_normal_is_a_tie(lean, dtype, expected):
+    kinds = kinds_of_pair([lean, 0.0, 1.0], (0, 0, 1), SIDE, dtype)
     assert ("line along a normal" in kinds) == expected
 
 
@@ -93,7 +111,7 @@ def test_a_tie_touches_the_rows_that_sum_its_histogram():
 def test_edges_are_those_that_loops_find():
     cloud = sphere_cloud(80)
     near = tr.neighbors(cloud, 0.9, 12)
-    epsilon = 0.01
+    width = 0.01
     points, normals = cloud.points.tolist(), cloud.normals.tolist()
     expected = set()
     for row, others in enumerate(oracles.neighbor_lists(near)):
@@ -101,9 +119,9 @@ def test_edges_are_those_that_loops_find():
             angles = oracles.pair_angles(points[row], normals[row], points[other], normals[other])
             for which, position in enumerate(oracles.angle_positions(angles)):
                 inner = which == 0 or 0 < round(position) < 11
-                if inner and abs(position - round(position)) < epsilon:
+                if inner and abs(position - round(position)) < width:
                     expected.add((row, other, KINDS[which]))
-    found = {tuple(tie) for tie in find_ties(cloud, near, epsilon).pairs if tie.kind.startswith("edge")}
+    found = {tuple(tie) for tie in find_ties(cloud, near, Rounding(width, 0.0, 0.0)).pairs if tie.kind.startswith("edge")}
     assert len(expected) > 20
     assert found == expected
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchreg.descriptors import fpfh
 from torchreg.errors import expect
 from torchreg.reference import stages
-from torchreg.reference.ties import Tie, find_ties
+from torchreg.reference.ties import ROUNDING, Tie, find_ties
 from torchreg.types import Clouds, Neighborhoods
 
 TOLERANCES = {torch.float64: 1e-6, torch.float32: 1e-2}
@@ -36,7 +36,7 @@ class DescriptorDifference:
         tolerance: a row is off when one of its 33 values is off by more.
         largest: the largest absolute difference.
         off: how many rows are off.
-        tied: how many rows rounding may move: a pair in their own or a neighbor's histogram is a tie.
+        tied: how many rows rounding in this dtype may move: a pair in their own or a neighbor's histogram is a tie.
         off_without_tie: how many rows are off though they have none.
         tie_count: how many pairs are ties.
         ties: the first of them.
@@ -107,7 +107,7 @@ def _difference(cloud: Clouds, reference: _ByOpen3d, name: str) -> DescriptorDif
     apart = (found - reference.values).abs().amax(dim=1)
     # not "greater than": NaN is off
     off = ~(apart <= TOLERANCES[dtype])
-    ties = find_ties(reference.cloud, near)
+    ties = find_ties(reference.cloud, near, ROUNDING[dtype])
     named = sorted(ties.pairs, key=lambda tie: not bool(off[tie.row]))[:NAMED]
     return DescriptorDifference(
         cloud=name,

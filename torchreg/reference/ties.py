@@ -1,10 +1,10 @@
 """Pairs whose vote rounding decides: where two right implementations of FPFH may differ.
 
 A vote of a pair goes to another bin when a feature lies on the edge between two bins; when |a1| = |a2|, so that
-either point may take the first place and the two ways differ (with equal or opposite normals rounding is the same
-on both sides, and no tie); or when the line is almost along the first normal,
-or the second normal along v, so that an angle has hardly a direction. Found from the definition with vectors and
-an arc tangent, apart from the kernel that is compared.
+either point may take the first place and the two ways differ (equal or opposite normals are no tie: rounding is
+the same on both sides); or when the line is almost along the first normal, or the second normal along v, so that an
+angle has hardly a direction. Found from the definition with vectors and an arc tangent, apart from the kernels that
+are compared.
 """
 
 from __future__ import annotations
@@ -21,11 +21,26 @@ from torchreg.geometry.chunks import row_chunks
 from torchreg.types import Clouds, Neighborhoods
 
 KINDS = ("edge of f1", "edge of f2", "edge of f3", "exchange", "line along a normal")
-EPSILON = 1e-12
-"""Rounding of a feature, in widths of a bin (the exchange: in cosines): a hundred times that of float64."""
 
-_PARALLEL = 1e-7  # sine of line and normal, below which v has lost half of its digits
-_ROUNDING = 1e-15
+
+class Rounding(NamedTuple):
+    """How far the features may be off in a floating-point type, and when they have lost half of their digits.
+
+    Attributes:
+        position: of a feature, in widths of a bin.
+        direction: of v, in radians, where the line is across the normal; it grows with the inverse of their sine.
+        parallel: the sine of line and normal below which v says nothing.
+    """
+
+    position: float
+    direction: float
+    parallel: float
+
+
+ROUNDING = {torch.float64: Rounding(1e-12, 1e-15, 1e-7), torch.float32: Rounding(4e-6, 1e-6, 1e-3)}
+
+_COSINE = 1e-12  # rounding of n.d / L in float64, as Open3D computes it
+_TINY = 1e-15
 
 
 class Tie(NamedTuple):
@@ -54,13 +69,16 @@ class Ties(NamedTuple):
     touched: Tensor
 
 
-def find_ties(cloud: Clouds, near: Neighborhoods, epsilon: float = EPSILON) -> Ties:
+def find_ties(cloud: Clouds, near: Neighborhoods, rounding: Rounding = ROUNDING[torch.float64]) -> Ties:
     """The ties among the pairs that vote.
 
     Args:
         cloud: points and normals, float64.
         near: their neighborhoods.
-        epsilon: as ``EPSILON``.
+        rounding: of the less exact of the two that are compared.
+
+    Raises:
+        ValueError: no normals.
     """
     normals = cloud.normals
     if normals is None:
@@ -71,7 +89,7 @@ def find_ties(cloud: Clouds, near: Neighborhoods, epsilon: float = EPSILON) -> T
         index, counted = near.index[rows], neighbor_votes(near.index, near.valid, rows)
         query = (cloud.points[rows, None], normals[rows, None])
         neighbor = (cloud.points[index], normals[index])
-        tied = _tied(query, neighbor, epsilon) & counted[..., None]  # (r, K, kinds)
+        tied = _tied(query, neighbor, rounding) & counted[..., None]  # (r, K, kinds)
         own[rows] = tied.any(dim=2).any(dim=1)
         for row, slot, kind in tied.nonzero().tolist():
             pairs.append(Tie(rows.start + row, int(index[row, slot]), KINDS[kind]))
@@ -89,29 +107,30 @@ class _Positions(NamedTuple):
     sine: Tensor
 
 
-def _tied(query: tuple[Tensor, Tensor], neighbor: tuple[Tensor, Tensor], epsilon: float) -> Tensor:
+def _tied(query: tuple[Tensor, Tensor], neighbor: tuple[Tensor, Tensor], rounding: Rounding) -> Tensor:
     """(r, K, kinds) bool for points and normals (r, 1, 3) and (r, K, 3)."""
     (p1, n1), (p2, n2) = query, neighbor
     line = p2 - p1
     length = line.norm(dim=-1, keepdim=True)
     line = line / torch.where(length > 0, length, torch.ones_like(length))
     first, second = (n1 * line).sum(dim=-1), (n2 * line).sum(dim=-1)
-    forth, back = _positions(n1, n2, line), _positions(n2, n1, -line)
+    forth, back = _positions(n1, n2, line, rounding), _positions(n2, n1, -line, rounding)
     exchange = first.abs() < second.abs()
     chosen = _Positions(*(torch.where(exchange[..., None], b, a) for a, b in zip(forth, back, strict=True)))
     edge = chosen.value.round()
-    on_edge = (chosen.value - edge).abs() < epsilon + chosen.rounding
+    on_edge = (chosen.value - edge).abs() < chosen.rounding
     on_edge[..., 1:] &= (edge[..., 1:] > 0) & (edge[..., 1:] < ANGLE_BINS)  # beyond the ends there is no other bin
-    even = (first.abs() - second.abs()).abs() < epsilon
-    even &= (n1 != n2).any(dim=-1) & (n1 != -n2).any(dim=-1)
+    unlike = torch.minimum((n1 - n2).norm(dim=-1), (n1 + n2).norm(dim=-1))
+    even = (first.abs() - second.abs()).abs() < _COSINE + rounding.position * unlike
+    even &= unlike > 0
     differ = (_bins(forth.value) != _bins(back.value)).any(dim=-1)
-    parallel = (chosen.sine[..., 0] > 0) & (chosen.sine[..., 0] < _PARALLEL)
+    parallel = (chosen.sine[..., 0] > 0) & (chosen.sine[..., 0] < rounding.parallel)
     proper = (length[..., 0] > 0) & (chosen.sine[..., 0] > 0)  # a degenerate pair votes for the middle bins, exactly
     tied: Tensor = torch.cat([on_edge, (even & differ)[..., None], parallel[..., None]], dim=-1) & proper[..., None]
     return tied
 
 
-def _positions(n1: Tensor, n2: Tensor, line: Tensor) -> _Positions:
+def _positions(n1: Tensor, n2: Tensor, line: Tensor, rounding: Rounding) -> _Positions:
     """Features of oriented points along a unit line, the first in the first place."""
     v = torch.linalg.cross(line, n1.expand_as(line), dim=-1)
     sine = v.norm(dim=-1, keepdim=True)
@@ -121,9 +140,9 @@ def _positions(n1: Tensor, n2: Tensor, line: Tensor) -> _Positions:
     f2, f3 = (v * n2).sum(dim=-1), (n1 * line).sum(dim=-1)
     f1 = torch.atan2(y, x)
     value = torch.stack([(f1 + math.pi) / math.pi, f2 + 1, f3 + 1], dim=-1) * (ANGLE_BINS / 2)
-    of_v = _ROUNDING / sine[..., 0].clamp_min(_ROUNDING)
-    rounding = torch.stack([of_v / torch.hypot(x, y).clamp_min(_ROUNDING), of_v, torch.zeros_like(of_v)], dim=-1)
-    return _Positions(value, rounding, sine.expand_as(value))
+    of_v = rounding.direction / sine[..., 0].clamp_min(_TINY)
+    moved = torch.stack([of_v / torch.hypot(x, y).clamp_min(_TINY), of_v, torch.zeros_like(of_v)], dim=-1)
+    return _Positions(value, rounding.position + moved, sine.expand_as(value))
 
 
 def _bins(positions: Tensor) -> Tensor:
