@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral, Real
+
 import torch
 from torch import Tensor
 
@@ -53,14 +55,14 @@ def expect_device(value: Tensor, name: str, device: torch.device) -> None:
 
 def positive(value: float, name: str) -> float:
     """Return ``value`` if it is a finite number above zero, else raise ``ValueError``."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    number = isinstance(value, Real) and not isinstance(value, bool)
     expect(number and 0 < value < float("inf"), name, "a finite number above 0", value)
     return float(value)
 
 
 def fraction(value: float, name: str, *, zero: bool = False) -> float:
     """Return ``value`` if it is in (0, 1], or in [0, 1] where ``zero`` is allowed, else raise ``ValueError``."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    number = isinstance(value, Real) and not isinstance(value, bool)
     legal = number and (0 <= value <= 1 if zero else 0 < value <= 1)
     expect(legal, name, "a number in [0, 1]" if zero else "a number in (0, 1]", value)
     return float(value)
@@ -68,7 +70,7 @@ def fraction(value: float, name: str, *, zero: bool = False) -> float:
 
 def at_least(value: int, name: str, least: int) -> int:
     """Return ``value`` if it is an integer of at least ``least``, else raise ``ValueError``."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
     expect(whole and value >= least, name, f"an integer of at least {least}", value)
     return value
 

@@ -121,7 +121,8 @@ def test_edges_are_those_that_loops_find():
                 inner = which == 0 or 0 < round(position) < 11
                 if inner and abs(position - round(position)) < width:
                     expected.add((row, other, KINDS[which]))
-    found = {tuple(tie) for tie in find_ties(cloud, near, Rounding(width, 0.0, 0.0)).pairs if tie.kind.startswith("edge")}
+    ties = find_ties(cloud, near, Rounding(width, 0.0, 0.0)).pairs
+    found = {tuple(tie) for tie in ties if tie.kind.startswith("edge")}
     assert len(expected) > 20
     assert found == expected
 

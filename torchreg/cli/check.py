@@ -68,8 +68,8 @@ def check(
     """Register SOURCE to TARGET with torchreg and with Open3D, and compare what every stage gave, in meters.
 
     FPFH are compared row by row with the same normals and neighborhoods; a row is tied where rounding decides a
-    vote in it. Exit code 0: in float64 all rows that are not tied agree, in float32 99 % of all, and torchreg
-    registered the pair. 2: bad usage or an unreadable file. 3: rows differ, or the registration failed.
+    vote in it. Exit code 0: all rows that are not tied agree, and torchreg registered the pair. 2: bad usage or an
+    unreadable file. 3: rows differ, or the registration failed.
     """
     from torchreg.cli.device import use
     from torchreg.io import read_transform_text
@@ -160,8 +160,8 @@ def _verdict(found: Comparison) -> str:
     elif found.descriptors_agree:
         said = "FPFH agree"
     else:
-        rows = sum(one.off for one in found.descriptors if not one.agree)
-        said = f"FPFH differ in {rows:,} rows"
+        rows = sum(one.off_without_tie for one in found.descriptors)
+        said = f"FPFH differ in {rows:,} rows without a tie"
     registered = "registered" if found.torchreg.success else f"not registered: {found.torchreg.reason}"
     return f"{said}; torchreg {registered}"
 

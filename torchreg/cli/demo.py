@@ -49,7 +49,7 @@ PictureFile = Annotated[
 
 
 def demo(
-    seed: opt.Seed = 1,
+    seed: opt.Seed = 2,
     angular_step: AngularStep = 0.4,
     figure: PictureFile = Path("torchreg_demo.png"),
     out: OutFolder = None,

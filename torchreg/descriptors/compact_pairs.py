@@ -1,10 +1,14 @@
-"""The pair feature of ``pair_features`` for float32: fewer operations, arranged so that rounding does not decide.
+"""The pair feature of ``pair_features`` for float32: fewer operations, arranged so that rounding decides little.
 
 Between almost parallel normals |a1| and |a2| differ by less than float32 holds, and exchanging the points turns the
-sign of f3. But |A| < |B| exactly when (B - A)(B + A) > 0, and B - A = (n2 - n1).d keeps its digits, since the
-difference of two close normals is exact. With A = n1.d, B = n2.d, C = n1.n2 the exchange needs no vectors to change
-places either: d x n1 is the shorter of the two cross products, v.n2 |d x n1| = det(d, n1, n2) both ways, and
-w.n2 |d x n1| = B - A C or B C - A.
+sign of f3. But the difference g = n2 - n1 of two close normals is exact, and everything that is small there follows
+from it: |n1.d| < |n2.d| where (g.d)(n1.d + n2.d) > 0; and with n the normal that has the first place (d and g as
+before the exchange) and Lagrange's identity
+
+    v.n2 |d x n| = (d x n).g,   w.n2 |d x n| = (g.d)(n.n) - (n.d)(n.g),   n1.n2 = n.n + (n.g, or -n.g exchanged)
+
+so no vector but n changes places. Nothing here takes n.n to be 1: normals rounded to float32 are off by 1e-7, which
+between exactly opposite normals decides whether f1 is pi or -pi.
 """
 
 from __future__ import annotations
@@ -22,29 +26,28 @@ def compact_pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
     Degenerate pairs give exact zeros. No gradients are meant to flow here: this is the kernel of the hard histogram.
     """
     dx, dy, dz = neighbor.x - query.x, neighbor.y - query.y, neighbor.z - query.z
-    nx, ny, nz = query[3:]
-    mx, my, mz = neighbor[3:]
-    A = _dot(nx, ny, nz, dx, dy, dz)
-    apart = _dot(mx - nx, my - ny, mz - nz, dx, dy, dz)  # B - A
-    B = A + apart
-    swap = (A + B).mul_(apart).gt_(0)
-    first = torch.lerp(A, -B, swap)  # n1.d after the exchange; the ends of lerp are exact
-    second = torch.lerp(B, -A, swap)  # n2.d after it
-    C = _dot(nx, ny, nz, mx, my, mz)
+    gx, gy, gz = neighbor.nx - query.nx, neighbor.ny - query.ny, neighbor.nz - query.nz
+    along = _dot(query.nx, query.ny, query.nz, dx, dy, dz)  # n1.d
+    change = _dot(gx, gy, gz, dx, dy, dz)  # n2.d - n1.d
+    swap = (along + along).add_(change).mul_(change).gt_(0)  # 1 or 0: lerp gives its ends exactly
+    nx, ny, nz = (torch.lerp(query[i], neighbor[i], swap) for i in (3, 4, 5))
+    along += change * swap  # n.d
+    sign = 1 - 2 * swap
 
     vx, vy, vz = (dy * nz).sub_(dz * ny), (dz * nx).sub_(dx * nz), (dx * ny).sub_(dy * nx)
-    ux, uy, uz = (dy * mz).sub_(dz * my), (dz * mx).sub_(dx * mz), (dx * my).sub_(dy * mx)
-    across = torch.minimum(_dot(vx, vy, vz, vx, vy, vz), _dot(ux, uy, uz, ux, uy, uz)).sqrt_()
+    across = _dot(vx, vy, vz, vx, vy, vz).sqrt_()
     length = _dot(dx, dy, dz, dx, dy, dz).sqrt_()
     proper = across.clone().gt_(0)
     degenerate = 1 - proper
     across += degenerate
-    length += length.clone().eq_(0)
+    length += degenerate
+    square, turn = _dot(nx, ny, nz, nx, ny, nz), _dot(nx, ny, nz, gx, gy, gz)  # n.n, n.g
+    sine = (square * change).sub_(along * turn)
     return PairFeatures(
-        cosine=(C * proper).add_(degenerate),
-        sine=second.sub_(first * C).div_(across).mul_(proper),
-        f2=_dot(vx, vy, vz, mx, my, mz).div_(across).mul_(proper),
-        f3=first.div_(length).mul_(proper),
+        cosine=turn.mul_(sign).add_(square).mul_(proper).add_(degenerate),
+        sine=sine.div_(across).mul_(proper),
+        f2=_dot(vx, vy, vz, gx, gy, gz).div_(across).mul_(proper),
+        f3=along.mul_(sign).div_(length).mul_(proper),
     )
 
 

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import colors_of
+from torchreg.descriptors.histograms import gather
 from torchreg.errors import expect, positive
 from torchreg.geometry.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
@@ -60,7 +61,7 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
         core = (valid & (near.sq_distance[rows] < inner[rows])).to(colors.dtype)
         columns = []
         for channel in channels:
-            value = channel[index] - channel[rows, None]  # against the point's own, to lose no digits
+            value = gather(channel, index) - channel[rows, None]  # against the point's own, to lose no digits
             own = channel[rows]
             near_mean, near_spread = _moments(value, core)
             far_mean, far_spread = _moments(value, whole)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.compact_pairs import compact_pair_features
-from torchreg.descriptors.histograms import count_votes, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.descriptors.histograms import count_votes, gather, inverse_square_weights, neighbor_votes, weighted_sum
 from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
 from torchreg.errors import expect, expect_floating, one_of
 from torchreg.geometry.chunks import row_chunks
@@ -71,7 +71,7 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
         votes = counted.to(torch.int32)
         index = near.index[rows]
         query = Oriented(*(column[rows, None] for column in columns))
-        neighbor = Oriented(*(column[index] for column in columns))
+        neighbor = Oriented(*(gather(column, index) for column in columns))
         pair = kernel(query, neighbor)
         bins = (angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3))
         counts = torch.cat([count_votes(bin_, votes, ANGLE_BINS) for bin_ in bins], dim=1)  # (r, 33)

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import color_values
-from torchreg.descriptors.histograms import count_votes, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.descriptors.histograms import count_votes, gather, inverse_square_weights, neighbor_votes, weighted_sum
 from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
@@ -95,9 +95,9 @@ def _own_histograms(
             votes = ones
             if channel == "hue" and saturation_weighting:
                 saturation = columns["saturation"]
-                product = saturation[index] * saturation[rows, None]
+                product = gather(saturation, index) * saturation[rows, None]
                 votes = (product * _VOTE_STEPS).round_().to(torch.int32) * ones
-            bin_ = difference_bins(column[rows, None], column[index], bins, circular=channel == "hue")
+            bin_ = difference_bins(column[rows, None], gather(column, index), bins, circular=channel == "hue")
             counts = count_votes(bin_, votes, bins).to(values.dtype)
             total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(values.dtype)
             out[rows, place * bins : (place + 1) * bins] = counts * (100 / total)

@@ -50,7 +50,6 @@ def feature_nearest(query: Tensor, table: Tensor, *, exact_second: bool = False)
         least[rows], row[rows] = tile.min(dim=1)
         tile.scatter_(1, row[rows, None], float("inf"))
         torch.amin(tile, dim=1, out=second[rows])
-    contended = least <= column[row] + 2 * tolerance
     apart = second.double().clamp(min=0).sqrt()
     if exact_second:
         row, apart = settle(query, table)
@@ -58,4 +57,5 @@ def feature_nearest(query: Tensor, table: Tensor, *, exact_second: bool = False)
         close = (second - least <= tolerance).nonzero()[:, 0]
         if len(close) > 0:
             row[close] = settle(query[close], table).row
+    contended = least <= column[row] + 2 * tolerance
     return FeatureNearest(row, row_distance(query, table[row]), apart, contended)

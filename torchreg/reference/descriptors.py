@@ -21,10 +21,6 @@ NAMED = 20
 """So many ties are named, those that touch rows that are off before the others."""
 
 
-FLOAT32_SHARE_OFF = 0.01
-"""Rows in float32 that may be off: there, a vote this near to an edge between bins falls on either side."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class DescriptorDifference:
     """How far the FPFH of one cloud are from Open3D's, which is computed in float64 in any case.
@@ -60,8 +56,8 @@ class DescriptorDifference:
 
     @property
     def agree(self) -> bool:
-        """Whether all rows without a tie are within the tolerance; of float32, at least 99 % of the rows."""
-        return self.share_off < FLOAT32_SHARE_OFF if self.dtype == "float32" else self.off_without_tie == 0
+        """Whether all rows without a tie are within the tolerance."""
+        return self.off_without_tie == 0
 
 
 def descriptor_differences(
