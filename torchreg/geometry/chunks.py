@@ -1,8 +1,8 @@
 """Rows in pieces that stay in the cache, and the order-independent sums of packed rows.
 
-A result must not depend on how the work is cut. So kernels in this package use the IEEE basic operations
-(+ - * / sqrt, comparisons), which round the same in every lane of a vector unit; ``atan2`` and its like may
-not: PyTorch computes the end of a range with another routine than its bulk.
+A result must not depend on how the work is cut. So kernels in this package use the basic operations
+(+ - * / sqrt, comparisons), which round the same in every lane of a vector unit of one machine; ``atan2`` and its
+like do not: PyTorch computes the end of a range with another routine than its bulk.
 """
 
 from __future__ import annotations
