@@ -65,7 +65,8 @@ def test_demo(run, tmp_path):
     assert picture.stat().st_size > 10_000
     assert sorted(path.name for path in out.iterdir()) == ["result.json", "source.ply", "target.ply", "truth.txt"]
     again = run(
-        *("register", out / "source.ply", out / "target.ply", "--truth", out / "truth.txt", "--seed", "2", "--json", "-"),
+        *("register", out / "source.ply", out / "target.ply", "--truth", out / "truth.txt"),
+        *("--seed", "2", "--json", "-"),
     )
     found, first = json.loads(again.stdout), json.loads((out / "result.json").read_text())
     assert found["truth"]["rmse_meters"] < found["options"]["ransac"]["inlier_threshold"]
