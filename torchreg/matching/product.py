@@ -1,0 +1,91 @@
+"""Squared distances of many rows at once, as a matrix product, and how far rounding can take it.
+
+    |a - b|^2 = |a - c|^2 + |b - c|^2 - 2 (a - c).(b - c)
+
+for any c. Rounding grows with (|a - c| + |b - c|)^2 (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed.
+2002, section 3.1), so c is put among the rows: their mean, or the median where most are nearly equal, as on walls.
+A common power of two keeps squares from overflowing. Both leave the order of distances as it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+_GROUPS = 16
+
+
+class Product(NamedTuple):
+    """Factors of the matrix of squared distances, in units of ``scale`` squared.
+
+    Attributes:
+        left: (N, D + 2) factor of the queries.
+        right: (D + 2, M') factor of the table; columns from M on are infinitely far from everything.
+        left_norm: (N,) float64, length of the centered queries.
+        right_norm: (M,) float64, length of the centered rows of the table.
+        scale: () float64, a power of two.
+    """
+
+    left: Tensor
+    right: Tensor
+    left_norm: Tensor
+    right_norm: Tensor
+    scale: Tensor
+
+    def error(self, norm: Tensor, distance: Tensor) -> Tensor:
+        """Largest error of entries whose true distance is at most ``distance`` (...), scaled; (...) float64.
+
+        ``norm`` (...) are the lengths of the rows (or columns) looked at: whatever is no farther than d from one
+        of length n is no longer than n + d itself. Covers the errors of the product, of its factors and of the
+        float64 distances that decide.
+        """
+        return self._unit() * (2 * norm + distance).square() + self._tiny()
+
+    def reach(self, norm: Tensor, value: Tensor, longest: Tensor) -> Tensor:
+        """Greatest true distance (...) that entries ``value`` (...) can stand for, scaled; float64.
+
+        ``longest`` () is the greatest length on the other side.
+        """
+        return (value.double().clamp(min=0) + self._unit() * (norm + longest).square() + self._tiny()).sqrt()
+
+    def _unit(self) -> float:
+        unit = torch.finfo(self.left.dtype).eps / 2 + torch.finfo(torch.float64).eps / 2
+        return (self.left.shape[1] + 8) * unit
+
+    def _tiny(self) -> float:
+        return self.left.shape[1] * torch.finfo(self.left.dtype).tiny
+
+
+def product(query: Tensor, table: Tensor, center: Tensor, dtype: torch.dtype) -> Product:
+    """Factors in ``dtype`` for rows ``query`` (N, D) against ``table`` (M, D); N, M >= 1, finite.
+
+    ``center`` (D,) float64 is best where the rows lie that are hardest to tell apart.
+    """
+    left, right = query.double() - center, table.double() - center
+    exponent = torch.frexp(torch.maximum(left.abs().amax(), right.abs().amax())).exponent
+    scale = torch.full_like(center[0], 2) ** exponent
+    left, right = (left / scale).to(dtype), (right / scale).to(dtype)
+    a, b = left.double().square().sum(dim=1), right.double().square().sum(dim=1)
+    padding = -len(table) % _GROUPS
+    columns = torch.cat([-2 * right, b[:, None].to(dtype), torch.ones_like(right[:, :1])], dim=1).t()  # (D + 2, M)
+    columns = torch.nn.functional.pad(columns, (0, padding)).contiguous()  # (D + 2, M')
+    columns[-2, len(table) :] = float("inf")
+    rows = torch.cat([left, torch.ones_like(left[:, :1]), a[:, None].to(dtype)], dim=1)
+    return Product(rows, columns, a.sqrt(), b.sqrt(), scale)
+
+
+def least(tile: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The ``count`` least entries of every row of a tile (R, M') and their columns, (R, count) each, ascending.
+
+    The least of 16 interleaved groups of columns come first, at the speed of the memory; the ``count`` least
+    entries lie in the groups with the ``count`` least of those. Measured: half the time of ``min(dim=1)``.
+    """
+    width = tile.shape[1] // _GROUPS
+    groups = tile.view(-1, _GROUPS, width).amin(dim=1)  # (R, M' / 16)
+    place = groups.topk(min(count, width), largest=False, sorted=False).indices  # (R, count)
+    member = torch.arange(_GROUPS, device=tile.device) * width
+    column = (place[:, :, None] + member).flatten(1)  # (R, 16 count)
+    value, order = tile.gather(1, column).topk(count, largest=False)
+    return value, column.gather(1, order)
