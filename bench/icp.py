@@ -1,0 +1,182 @@
+"""ICP over 32 pairs against Open3D and small_gicp, pair by pair, in one process, the methods in turn.
+
+    python bench/icp.py                   writes bench/results/icp.json and the table in README.md
+    python bench/icp.py --no-readme --pairs 8
+
+Real pairs where they are beside the checkout (voxels v of each pair's ``voxel_m``), else stations of the simulated
+mall; starts are the truth, turned by 2 degrees and shifted by v / 2. Correspondences within 1.5 v, at most 30 updates,
+Open3D's rule to stop. small_gicp (Levenberg-Marquardt, normals of its own, made before) has a rule of its own, here
+1e-5 rad and 1e-5 m. Trees are built in the time counted. Medians of five runs after a warm-up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import median
+from typing import Any, NamedTuple
+
+import torch
+from common import REAL, in_words, interleaved, machine, save, spread, table
+from readme import put_into_readme
+from torch import Tensor
+
+import torchreg as tr
+from torchreg.geometry.se3 import apply_rotation, rigid
+from torchreg.open3d_loader import load_open3d
+from torchreg.refinement import IcpOptions, IcpResult, icp
+from torchreg.refinement.gauss_newton import rotation_zyx
+
+ITERATIONS = 30
+KINDS = ("point_to_point", "point_to_plane", "colored")
+HEAD = ["32 pairs", "torchreg, one batch", "Open3D", "small_gicp", "Open3D / torchreg", "small_gicp / torchreg",
+        "largest difference in T"]  # fmt: skip
+
+
+class Start(NamedTuple):
+    """A pair about its own zeros, where to start from (4, 4), and its voxel size in meters."""
+
+    source: tr.Clouds
+    target: tr.Clouds
+    T: Tensor
+    voxel: float
+
+
+def perturbed(T: Tensor, number: int, voxel: float) -> Tensor:
+    """T after a turn of 2 degrees and a shift of half a voxel."""
+    angles, shift = torch.randn(2, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(number))
+    turn = torch.deg2rad(2.0 * angles / angles.norm())[None]
+    return rigid(rotation_zyx(turn)[0], 0.5 * voxel * shift / shift.norm()) @ T
+
+
+def made(source: tr.Clouds, target: tr.Clouds, T: Tensor, voxel: float, number: int) -> Start:
+    """The pair in float64 with target normals; origins are taken out, so that all methods see the same numbers."""
+    source, target = (tr.voxel_downsample(cloud, voxel) for cloud in (source, target))
+    target = tr.estimate_normals(target, tr.neighbors(target, 2 * voxel, 30))
+    T = T.clone()
+    T[:3, 3] += apply_rotation(T[:3, :3], source.origin[0]) - target.origin[0]
+    zero = torch.zeros_like(source.origin)
+    bare = (replace(cloud, origin=zero, viewpoint=None, normals=normals)
+            for cloud, normals in ((source, None), (target, target.normals)))  # fmt: skip
+    return Start(*bare, perturbed(T, number, voxel), voxel)
+
+
+def starts(count: int) -> tuple[list[Start], str]:
+    """Pairs with colors, and what they are."""
+    if not REAL.exists():
+        halls = [tr.datasets.mall(seed=seed) for seed in range(4)]
+        clouds = [(tr.random_downsample(hall.source, 20_000).to(dtype=torch.float64),
+                   tr.random_downsample(hall.target, 20_000).to(dtype=torch.float64),
+                   hall.T_target_source.view(4, 4)) for hall in halls]  # fmt: skip
+        return [made(*clouds[i % 4], 0.3, i) for i in range(count)], "pairs of the simulated mall"
+    listed = [pair for pair in json.loads((REAL / "pairs.json").read_text())["pairs"] if pair["colour"]]
+    found = []
+    for i, pair in enumerate(listed[:count]):
+        sides = (tr.read_cloud(REAL / pair[side], dtype=torch.float64) for side in ("source", "target"))
+        found.append(made(*sides, torch.tensor(pair["T"], dtype=torch.float64), pair["voxel_m"], i))
+    return found, "real pairs"
+
+
+def torchreg_icp(pairs: list[Start], kind: str) -> Callable[[], IcpResult]:
+    source, target = tr.Clouds.pack([p.source for p in pairs]), tr.Clouds.pack([p.target for p in pairs])
+    T = torch.stack([p.T for p in pairs])
+    options = [IcpOptions(max_distance=1.5 * p.voxel, kind=kind, iterations=ITERATIONS) for p in pairs]
+    return lambda: icp(source, target, T, options)
+
+
+def open3d_icp(pairs: list[Start], kind: str) -> Callable[[], list[Any]]:
+    registration = load_open3d().pipelines.registration
+    estimation = {
+        "point_to_point": registration.TransformationEstimationPointToPoint,
+        "point_to_plane": registration.TransformationEstimationPointToPlane,
+        "colored": registration.TransformationEstimationForColoredICP,
+    }[kind]()
+    method = registration.registration_colored_icp if kind == "colored" else registration.registration_icp
+    criteria = registration.ICPConvergenceCriteria(1e-6, 1e-6, ITERATIONS)
+    ready = [(tr.to_open3d(p.source), tr.to_open3d(p.target), 1.5 * p.voxel, p.T.numpy()) for p in pairs]
+    return lambda: [method(*one, estimation, criteria) for one in ready]
+
+
+def small_gicp_icp(pairs: list[Start], kind: str, threads: int) -> Callable[[], list[Any]] | None:
+    try:
+        import small_gicp
+    except ImportError:
+        print("small_gicp is not installed (pip install small-gicp): left out")
+        return None
+    if kind == "colored":
+        return None
+    ready = []
+    for p in pairs:
+        target, source = (small_gicp.PointCloud(cloud.points.numpy()) for cloud in (p.target, p.source))
+        small_gicp.estimate_normals(target, num_neighbors=20, num_threads=threads)
+        ready.append((target, source, p.T.numpy(), 1.5 * p.voxel))
+    name = {"point_to_point": "ICP", "point_to_plane": "PLANE_ICP"}[kind]
+    return lambda: [
+        small_gicp.align(target, source, small_gicp.KdTree(target, num_threads=threads), T, name, reach, threads,
+                         ITERATIONS, 1e-5, 1e-5)
+        for target, source, T, reach in ready
+    ]  # fmt: skip
+
+
+def measured(pairs: list[Start], kind: str, repeats: int, threads: int) -> dict[str, Any]:
+    """Seconds of every method, and how far the results agree."""
+    ours, theirs = torchreg_icp(pairs, kind), open3d_icp(pairs, kind)
+    runs: dict[str, Callable[[], Any]] = {"torchreg": ours, "open3d": theirs}
+    other = small_gicp_icp(pairs, kind, threads)
+    if other is not None:
+        runs["small_gicp"] = other
+    result = ours()
+    far = torch.stack([torch.from_numpy(one.transformation.copy()) for one in theirs()])
+    found: dict[str, Any] = {
+        "seconds": interleaved(runs, repeats),
+        "difference_open3d": float((far - result.T_target_source).abs().max()),
+        "updates": int(result.iterations.sum()),
+        "converged": int(result.converged.sum()),
+    }
+    if other is not None:
+        found["updates_small_gicp"] = sum(one.iterations for one in other())
+    return found
+
+
+def row(kind: str, found: dict[str, Any]) -> list[str]:
+    seconds = found["seconds"]
+    base = median(seconds["torchreg"])
+    other = seconds.get("small_gicp")
+    return [
+        f"{kind.replace('_', '-')}, {found['updates']} updates",
+        spread(seconds["torchreg"]),
+        spread(seconds["open3d"]),
+        spread(other) if other else "-",
+        f"{median(seconds['open3d']) / base:.2f}",
+        f"{median(other) / base:.2f}" if other else "-",
+        f"{found['difference_open3d']:.0e}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--no-readme", action="store_true", help="leave README.md as it is")
+    parser.add_argument("--pairs", type=int, default=32, help="how many pairs")
+    parser.add_argument("--repeats", type=int, default=5, help="counted runs of each")
+    arguments = parser.parse_args()
+    threads = torch.get_num_threads()
+    if os.environ.get("OMP_NUM_THREADS") not in (None, str(threads)):
+        raise SystemExit("OMP_NUM_THREADS and torch disagree: the methods would not get the same threads")
+    pairs, what = starts(arguments.pairs)
+    points = sum(len(p.source.points) for p in pairs)
+    kinds = [kind for kind in KINDS if kind != "colored" or all(p.source.colors is not None for p in pairs)]
+    runs = {kind: measured(pairs, kind, arguments.repeats, threads) for kind in kinds}
+    head = [f"{len(pairs)} {what}", *HEAD[1:]]
+    text = table(head, [row(kind, found) for kind, found in runs.items()])
+    facts = machine()
+    print(text)
+    save("icp", {"machine": facts, "pairs": len(pairs), "what": what, "source_points": points, "runs": runs})
+    if not arguments.no_readme:
+        put_into_readme("icp", f"{text}\n\n{in_words(facts)}.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,7 @@
+"""Iterative closest point: from a transform that is about right to one that is as good as the clouds."""
+
+from torchreg.refinement.icp import icp
+from torchreg.refinement.options import IcpLevel, IcpOptions
+from torchreg.refinement.result import IcpResult
+
+__all__ = ["IcpLevel", "IcpOptions", "IcpResult", "icp"]

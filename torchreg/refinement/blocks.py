@@ -1,0 +1,84 @@
+"""The source rows of all pairs in blocks of 256, each block of one pair, and sums over pairs in a fixed order.
+
+Whole blocks let one elementwise pass serve the packed batch, with one transform per block. The order in which a
+pair's rows are added follows from its own rows alone, so its sums have the same bits in any batch and with any
+number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.chunks import CACHE_ELEMENTS, row_chunks
+
+BLOCK = 256
+_CHUNK_WIDTH = 8  # temporaries of a row that should stay in the cache together
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Which block belongs to which pair.
+
+    Attributes:
+        pair: (n,) int64, ascending.
+        real: (n, 256) bool, false for the rows that fill up the last block of a pair.
+        counts: the number of blocks of every pair.
+    """
+
+    pair: Tensor
+    real: Tensor
+    counts: tuple[int, ...]
+
+    @staticmethod
+    def of(lengths: list[int], device: torch.device) -> Blocks:
+        """Blocks for pairs of these numbers of rows, each at least 1."""
+        counts = tuple(-(-length // BLOCK) for length in lengths)
+        real = torch.zeros(sum(counts) * BLOCK, dtype=torch.bool, device=device)
+        begin = 0
+        for length, count in zip(lengths, counts, strict=True):
+            real[begin : begin + length] = True
+            begin += count * BLOCK
+        return Blocks(_numbers(counts, device), real.view(-1, BLOCK), counts)
+
+    def fill(self, values: Tensor) -> Tensor:
+        """Spread packed values (P, C) over the blocks: (C, n, 256) float64, zero where rows only fill up."""
+        out = values.new_zeros(values.shape[1], self.real.numel(), dtype=torch.float64)
+        out[:, self.real.view(-1)] = values.t().double()
+        return out.view(values.shape[1], *self.real.shape)
+
+    def keep(self, pairs: list[int]) -> tuple[Blocks, Tensor]:
+        """The blocks of these pairs, ascending, and their numbers here."""
+        device = self.pair.device
+        ends = torch.tensor(self.counts).cumsum(0).tolist()
+        parts = [torch.arange(ends[b] - self.counts[b], ends[b]) for b in pairs]
+        chosen = (torch.cat(parts) if parts else torch.zeros(0, dtype=torch.int64)).to(device)
+        counts = tuple(self.counts[b] for b in pairs)
+        return Blocks(_numbers(counts, device), self.real[chosen], counts), chosen
+
+    def chunks(self) -> Iterator[slice]:
+        """Slices of blocks that stay in the cache; on other devices, all blocks."""
+        elements = CACHE_ELEMENTS if self.pair.device.type == "cpu" else 1 << 28
+        return row_chunks(len(self.pair), BLOCK * _CHUNK_WIDTH, elements)
+
+    def sums(self, terms: Callable[[slice], Tensor], channels: int) -> Tensor:
+        """Sums (B, C) over the rows of every pair of ``terms(chunk)`` (C, k, 256), float64."""
+        partial = torch.zeros(channels, len(self.pair), dtype=torch.float64, device=self.pair.device)
+        for chunk in self.chunks():
+            torch.sum(terms(chunk), dim=2, out=partial[:, chunk])
+        widest = 1 << (max(self.counts) - 1).bit_length()
+        padded = partial.new_zeros(channels, len(self.counts), widest)
+        first = torch.tensor((0, *self.counts[:-1]), device=self.pair.device).cumsum(0)
+        place = torch.arange(len(self.pair), device=self.pair.device) - first[self.pair]
+        padded[:, self.pair, place] = partial
+        while padded.shape[2] > 1:  # neighbors are added first: more zeros behind change nothing
+            padded = padded[:, :, 0::2] + padded[:, :, 1::2]
+        return padded[:, :, 0].t()  # (B, C)
+
+
+def _numbers(counts: tuple[int, ...], device: torch.device) -> Tensor:
+    each = torch.tensor(counts, dtype=torch.int64)
+    return torch.arange(len(counts)).repeat_interleave(each).to(device)

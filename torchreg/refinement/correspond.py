@@ -1,0 +1,187 @@
+"""Nearest target points of moving source points, searched only where they may have changed.
+
+A source point at p had its nearest target points at distances d1 <= d2 <= ... <= dK. Now it is at p', a step
+s = |p' - p| away. Every point but the first is at least d2 - s away now, so while the first is nearer than that, it
+is the nearest still. Where it is not, the nearest of the K is the nearest of all while it is nearer than dK - s. And
+where d1 - s is above the largest distance allowed, there is no correspondence, whichever is the nearest. So the
+result is that of a full search, yet in most iterations of ICP hardly a point is searched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.chunks import row_chunks
+from torchreg.refinement.blocks import BLOCK, Blocks
+from torchreg.refinement.nearest_few import FEW, Search
+
+_CHUNK_ROWS = 1 << 14  # rows decided at once: what they need stays in the cache
+_ROUNDING = 1e-12  # relative, on distances: a bound that close is not relied on
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The target points of all pairs of a batch.
+
+    Attributes:
+        values: (A, N) float64: x, y, z about each cloud's center, then whatever else a correspondence carries.
+        first: row of every cloud's first point.
+        search: in the points of each cloud; rows count from its first point.
+    """
+
+    values: Tensor
+    first: tuple[int, ...]
+    search: tuple[Search, ...]
+
+
+class Correspondence:
+    """Every source row's nearest target point under the last transforms given.
+
+    Attributes:
+        blocks: n blocks of the pairs that are still at work.
+        pairs: the numbers these pairs began with.
+        moved: (3, n, 256), source points in the targets' frames.
+        partner: (A, n, 256), the target's values at their nearest points.
+        square: (n, 256) squared meters between them. Beyond the largest distance, partners are any that are
+            beyond it.
+        inside: (n, 256) bool, nearer than the largest distance.
+    """
+
+    def __init__(self, blocks: Blocks, source: Tensor, target: Target, max_distance: Tensor) -> None:
+        """Begin without correspondences: source (3, n, 256) about its centers, ``max_distance`` (B,) meters."""
+        self.blocks, self._target = blocks, target
+        self.pairs = list(range(len(blocks.counts)))
+        shape, never = source.shape[1:], -torch.inf
+        self._source, self._max_distance = source, max_distance
+        self.moved = torch.zeros_like(source)
+        self.partner = source.new_zeros(len(target.values), *shape)
+        self.square = source.new_zeros(shape)
+        self.inside = torch.zeros(shape, dtype=torch.bool, device=source.device)
+        # when the partner was last decided: where, and bounds from below on the two least distances
+        self._decided_at = torch.zeros_like(source)
+        self._nearest, self._second = source.new_full(shape, never), source.new_full(shape, never)
+        # when last searched: where, the nearest points' rows, and the distance of all others from below
+        self._searched_at = torch.zeros_like(source)
+        self._few = torch.zeros(*shape, FEW, dtype=torch.int64, device=source.device)
+        self._others = source.new_full(shape, never)
+        self._searched = False
+
+    def keep(self, which: list[int]) -> Tensor:
+        """Go on with these of the pairs, by their present numbers; returns the numbers of the blocks that stay."""
+        self.blocks, chosen = self.blocks.keep(which)
+        self.pairs = [self.pairs[b] for b in which]
+        self._max_distance = self._max_distance[which]
+        for name in ("_source", "moved", "partner", "_decided_at", "_searched_at"):
+            setattr(self, name, getattr(self, name).index_select(1, chosen))
+        for name in ("square", "inside", "_nearest", "_second", "_few", "_others"):
+            setattr(self, name, getattr(self, name).index_select(0, chosen))
+        return chosen
+
+    def move(self, rotation: Tensor, translation: Tensor) -> None:
+        """Correspondences under R (B, 3, 3) and t (B, 3) of the pairs at work."""
+        limit = self._max_distance[self.blocks.pair][:, None]  # (n, 1)
+        R, t = rotation[self.blocks.pair, :, :, None], translation[self.blocks.pair, :, None]
+        pending = torch.empty_like(self.inside)
+        for chunk in self.blocks.chunks():
+            moved = self.moved[:, chunk]  # (3, k, 256), written in place
+            _transform(self._source[:, chunk], R[chunk], t[chunk], moved)
+            square = _square(moved, self.partner[:3, chunk])
+            step = _square(moved, self._decided_at[:, chunk]).sqrt_()
+            first, second = square.sqrt(), self._second[chunk] - step
+            known = _known(first, second, self._nearest[chunk] - step, limit[chunk])
+            self.square[chunk] = square
+            pending[chunk] = self.blocks.real[chunk] & ~known
+        rows = pending.view(-1).nonzero().squeeze(1)
+        if self._searched:
+            decided = [self._choose(part, limit) for part in rows.split(_CHUNK_ROWS)]
+            rows = rows[~torch.cat(decided)]
+        self._search(rows)
+        self._searched = True
+        torch.lt(self.square, limit * limit, out=self.inside)
+        self.inside &= self.blocks.real
+
+    def _choose(self, rows: Tensor, limit: Tensor) -> Tensor:
+        """Decide the rows (Q,) of all blocks among the few found last; returns where that is the nearest of all."""
+        points = gather(self.moved.view(3, -1), rows)
+        step = _square(points, gather(self._searched_at.view(3, -1), rows)).sqrt_()
+        others = self._others.view(-1)[rows] - step
+        first = self._decide(rows, points, self._few.view(-1, FEW)[rows], others)
+        return _known(first, others, torch.minimum(first, others), limit.view(-1)[rows // BLOCK])
+
+    def _search(self, rows: Tensor) -> None:
+        """Search the rows (Q,) of all blocks afresh."""
+        queries = gather(self.moved.view(3, -1), rows).t().contiguous()  # (Q, 3)
+        ends = torch.tensor(self.blocks.counts).cumsum(0) * BLOCK
+        cuts = torch.searchsorted(rows, ends.to(rows.device)).tolist()  # rows ascend, so pair after pair
+        few = rows.new_zeros(len(rows), FEW)
+        full = torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
+        begin = 0
+        for pair, end in zip(self.pairs, cuts, strict=True):
+            if end > begin:
+                found = self._target.search[pair](queries[begin:end])
+                width = found.shape[1]
+                few[begin:end, :width] = found
+                few[begin:end, width:] = found[:, -1:]  # a target of fewer points, which has no others
+                few[begin:end] += self._target.first[pair]
+                full[begin:end] = width == FEW
+            begin = end
+        for part in row_chunks(len(rows), 1, _CHUNK_ROWS):
+            self._begin(rows[part], queries[part].t().contiguous(), few[part], full[part])
+
+    def _begin(self, rows: Tensor, points: Tensor, few: Tensor, full: Tensor) -> None:
+        """Take over the rows (Q,), at points (3, Q), from a search whose last of ``few`` bounds all others."""
+        last = _square(points, gather(self._target.values[:3], few[:, -1])).sqrt_()
+        others = torch.where(full, last, torch.inf)
+        self._decide(rows, points, few, others)
+        self._few.view(-1, FEW).index_copy_(0, rows, few)
+        self._others.view(-1).index_copy_(0, rows, others)
+        _scatter(self._searched_at, rows, points)
+
+    def _decide(self, rows: Tensor, points: Tensor, few: Tensor, others: Tensor) -> Tensor:
+        """Write down the nearest of ``few`` (Q, FEW) for points (3, Q), all others being at ``others`` (Q,) or more."""
+        square = _square(points[:, :, None], gather(self._target.values[:3], few))  # (Q, FEW)
+        nearest, place = square.min(dim=1)
+        chosen = few.gather(1, place[:, None])
+        second = square.masked_fill_(few == chosen, torch.inf).amin(dim=1).sqrt_()
+        first = nearest.sqrt()
+        _scatter(self.partner, rows, gather(self._target.values, chosen[:, 0]))
+        _scatter(self._decided_at, rows, points)
+        self.square.view(-1).index_copy_(0, rows, nearest)
+        self._nearest.view(-1).index_copy_(0, rows, torch.minimum(first, others))
+        self._second.view(-1).index_copy_(0, rows, torch.minimum(second, others))
+        return first
+
+
+def gather(values: Tensor, row: Tensor) -> Tensor:
+    """Columns of (A, N) at rows of any shape: (A, ...); one line of numbers after the other, which is faster."""
+    flat = row.reshape(-1)
+    return torch.stack([line.index_select(0, flat) for line in values.unbind(0)]).view(len(values), *row.shape)
+
+
+def _scatter(into: Tensor, rows: Tensor, values: Tensor) -> None:
+    """Write values (A, Q) to the rows of all blocks of (A, n, 256)."""
+    for line, value in zip(into.view(len(into), -1).unbind(0), values.unbind(0), strict=True):
+        line.index_copy_(0, rows, value)
+
+
+def _known(first: Tensor, others: Tensor, least: Tensor, limit: Tensor) -> Tensor:
+    """Where the first is nearer than all others can be, or nothing can be within the limit."""
+    slack = 1 - _ROUNDING
+    return (first < others * slack) | (least * slack > limit)
+
+
+def _transform(source: Tensor, R: Tensor, t: Tensor, out: Tensor) -> None:
+    """R (k, 3, 3, 1) source (3, k, 256) + t (k, 3, 1), into ``out``."""
+    x, y, z = source.unbind(0)
+    for i in range(3):
+        torch.addcmul(t[:, i], x, R[:, i, 0], out=out[i])
+        out[i].addcmul_(y, R[:, i, 1]).addcmul_(z, R[:, i, 2])
+
+
+def _square(left: Tensor, right: Tensor) -> Tensor:
+    """Squared distances between (3, ...) and (3, ...)."""
+    x, y, z = (left - right).unbind(0)
+    return x.mul_(x).addcmul_(y, y).addcmul_(z, z)

@@ -1,0 +1,88 @@
+"""What ``icp`` can be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchreg.errors import at_least, expect, fraction, one_of, positive
+
+KINDS = ("point_to_point", "point_to_plane", "colored")
+KERNELS = ("huber", "tukey", "geman_mcclure")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IcpLevel:
+    """One level of a coarse-to-fine refinement.
+
+    Attributes:
+        voxel_size: meters; both clouds are averaged over cubes of this edge first; ``None`` takes them as they are.
+        max_distance: meters; a point has a correspondence when its nearest target point is nearer than this.
+        iterations: updates at most.
+
+    Raises:
+        ValueError: a length that is not above 0, fewer than 1 iterations.
+    """
+
+    voxel_size: float | None = None
+    max_distance: float = 0.2
+    iterations: int = 30
+
+    def __post_init__(self) -> None:
+        if self.voxel_size is not None:
+            positive(self.voxel_size, "voxel_size")
+        positive(self.max_distance, "max_distance")
+        at_least(self.iterations, "iterations", 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IcpOptions:
+    """How ``icp`` refines. The numbers of convergence and color are Open3D's defaults.
+
+    Attributes:
+        max_distance: meters; a point has a correspondence when its nearest target point is nearer than this.
+        kind: what is minimized: the distance ``"point_to_point"``, the distance ``"point_to_plane"`` (the target
+            needs normals), or the latter together with differences of intensity, ``"colored"`` (the target needs
+            normals, both clouds need colors).
+        iterations: updates at most.
+        relative_fitness: iteration stops when fitness changes by less than this in one update ...
+        relative_rmse: ... and inlier_rmse by less than this, meters. Both are differences, as in Open3D, whose
+            names they bear.
+        kernel: ``None`` for least squares, or the loss that makes far correspondences count less: ``"huber"``,
+            ``"tukey"`` or ``"geman_mcclure"``.
+        kernel_scale: the residual at which the kernel begins to bear down, meters; squared meters for
+            ``"geman_mcclure"``, where it stands beside a squared residual, as in Open3D.
+        color_weight: in [0, 1], share of the intensity term beside the geometric one in ``"colored"``; Open3D's
+            ``lambda_geometric`` is one minus this.
+        levels: coarse to fine; empty for one level of ``max_distance`` and ``iterations``, which levels replace.
+
+    Raises:
+        ValueError: a number out of its range or an unknown name.
+    """
+
+    max_distance: float = 0.2
+    kind: str = "point_to_point"
+    iterations: int = 30
+    relative_fitness: float = 1e-6
+    relative_rmse: float = 1e-6
+    kernel: str | None = None
+    kernel_scale: float = 0.1
+    color_weight: float = 0.032
+    levels: tuple[IcpLevel, ...] = ()
+
+    def __post_init__(self) -> None:
+        positive(self.max_distance, "max_distance")
+        one_of(self.kind, "kind", KINDS)
+        at_least(self.iterations, "iterations", 1)
+        positive(self.relative_fitness, "relative_fitness")
+        positive(self.relative_rmse, "relative_rmse")
+        if self.kernel is not None:
+            one_of(self.kernel, "kernel", KERNELS)
+        positive(self.kernel_scale, "kernel_scale")
+        fraction(self.color_weight, "color_weight", zero=True)
+        levels = isinstance(self.levels, tuple) and all(isinstance(level, IcpLevel) for level in self.levels)
+        expect(levels, "levels", "a tuple of IcpLevel", self.levels)
+
+    @property
+    def steps(self) -> tuple[IcpLevel, ...]:
+        """The levels, or the one that stands for none."""
+        return self.levels or (IcpLevel(max_distance=self.max_distance, iterations=self.iterations),)
