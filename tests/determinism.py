@@ -23,9 +23,9 @@ _CHUNKED = (
     "descriptors.histograms",
     "descriptors.pcfh",
     "preprocess.normals",
-    "ransac.verdict",
+    "hypotheses.verdict",
 )
-_TILED = ("matching.settle", "ransac.scoring")
+_TILED = ("matching.settle", "hypotheses.scoring")
 
 
 def same_bits(left: Any, right: Any, *, ignore: tuple[str, ...] = ()) -> bool:

@@ -15,9 +15,9 @@ from torchreg.descriptors.pair_features import Oriented, angle_bins, pair_featur
 from torchreg.descriptors.pcfh import difference_bins
 from torchreg.geometry.chunks import stable_sum
 from torchreg.geometry.eigen import symmetric_eigen
+from torchreg.hypotheses.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
 from torchreg.ransac.minimal import sample_fits, solve_samples
 from torchreg.ransac.prune import similar_edges, spans_plane
-from torchreg.ransac.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
 
 ROWS, SLOTS, HYPOTHESES, MATCHES, SAMPLE = 5, 4, 6, 9, 3
 

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from torchreg import metrics
+from torchreg.compatibility import compatibility
 from torchreg.descriptors import contrast, fpfh, fuse, pcfh
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.se3 import transform
@@ -29,9 +30,11 @@ from torchreg.preprocess import (
     voxel_downsample,
 )
 from torchreg.ransac import ransac
+from torchreg.refinement import IcpOptions, icp
 from torchreg.registration import PAPER, derive_options, register, spacing
 from torchreg.types import (
     Clouds,
+    CompatibilityOptions,
     Correspondences,
     Features,
     HypothesisCounts,
@@ -48,14 +51,17 @@ if TYPE_CHECKING:
 __all__ = [
     "PAPER",
     "Clouds",
+    "CompatibilityOptions",
     "Correspondences",
     "Features",
     "HypothesisCounts",
+    "IcpOptions",
     "Neighborhoods",
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
     "__version__",
+    "compatibility",
     "contrast",
     "datasets",
     "derive_options",
@@ -64,6 +70,7 @@ __all__ = [
     "fpfh",
     "from_open3d",
     "fuse",
+    "icp",
     "kabsch",
     "match_mutual",
     "metrics",

@@ -117,15 +117,15 @@ def test_threads(run, room):
 
 def test_a_failed_registration_says_why_and_writes_no_transform(run, room, cloud_file, tmp_path):
     line = cloud_file("line.ply", torch.linspace(0, 5, 200)[:, None] * torch.tensor([1.0, 2.0, 0.5]))
-    outputs = {name: tmp_path / name for name in ("r.json", "T.txt", "a.ply", "p.png")}
+    outputs = {name: tmp_path / name for name in ("r.json", "T.txt", "a.ply", "p.png", "m.png")}
     result = run(
         *("register", line, room.target, "--json", outputs["r.json"], "--transform", outputs["T.txt"]),
-        *("--aligned", outputs["a.ply"], "--figure", outputs["p.png"]),
+        *("--aligned", outputs["a.ply"], "--figure", outputs["p.png"], "--matches", outputs["m.png"], "--explain"),
     )
     assert result.exit_code == 3
     assert "not registered: a degenerate cloud" in result.stdout
     assert "T_target_source" not in result.stdout
-    assert [name for name, path in outputs.items() if path.exists()] == ["r.json", "p.png"]
+    assert [name for name, path in outputs.items() if path.exists()] == ["r.json", "p.png", "m.png"]
     found = json.loads(outputs["r.json"].read_text(), parse_constant=pytest.fail)
     assert found["success"] is False
     assert found["reason"] in result.stdout
@@ -136,6 +136,65 @@ def test_a_failure_under_json_keeps_the_reason_on_standard_error(run, room, clou
     assert result.exit_code == 3
     assert json.loads(result.stdout)["success"] is False
     assert "not registered: too few points" in result.stderr
+
+
+def test_how_certain_a_pose_is_stands_in_the_table_and_in_json(run, room):
+    text = run("register", room.source, room.target).stdout
+    for words in ("overlap", "strength", "runner-up", "probability"):
+        assert words in text
+    found = json.loads(run("register", room.source, room.target, "--json", "-").stdout, parse_constant=pytest.fail)
+    assert 0.5 < found["probability"] <= 1
+    assert 0.2 < found["overlap"] <= 1
+    assert 0 < found["strength"] <= 1
+    assert torch.tensor(found["information"]).shape == (6, 6)
+    assert found["stages"]["given"]["source"] == found["points"]["source"]["used"]
+    assert found["candidates"][0]["matches"] > 0
+    assert found["stages"]["proposals"]
+
+
+def test_explain(run, room):
+    """After the table, word for word what the result says; beside JSON on standard error."""
+    result = run("register", room.source, room.target, "--explain")
+    assert result.exit_code == 0
+    table, _, explained = result.stdout.partition("\n\n")
+    assert table.rstrip().endswith("registered")
+    source, target = tr.read_cloud(room.source), tr.read_cloud(room.target)
+    assert explained.rstrip("\n") == tr.register(source, target).explain()
+    assert "May help" not in run("register", room.source, room.target).stdout
+    beside = run("register", room.source, room.target, "--explain", "--json", "-")
+    assert json.loads(beside.stdout)["success"]
+    assert explained.strip() in beside.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "effort", "solver"),
+    [
+        ([], "balanced", "compatibility"),
+        (["--effort", "fast"], "fast", "compatibility"),
+        (["--effort", "plain", "--solver", "ransac"], "plain", "ransac"),
+        (["--voxel", "0.2"], "balanced", "compatibility"),
+        (["--preset", "paper", "--feature-radius", "0.6"], "plain", "ransac"),
+        (["--preset", "paper", "--feature-radius", "0.6", "--solver", "compatibility"], "plain", "compatibility"),
+        (["--preset", "paper", "--effort", "balanced"], "balanced", "ransac"),
+    ],
+)
+def test_effort_and_solver(run, room, words, effort, solver):
+    """What is not told stays as the preset has it."""
+    found = json.loads(run("register", room.source, room.target, "--json", "-", *words).stdout)
+    assert (found["options"]["effort"], found["options"]["solver"]) == (effort, solver)
+    origins = [proposal["origin"] for proposal in found["stages"]["proposals"]]
+    assert origins[0].endswith(solver)
+    assert (len(origins) > 1) == (effort == "balanced")
+    assert (found["probability"] is None) == (effort == "plain")
+
+
+def test_the_picture_of_the_matches(run, room, tmp_path):
+    pictures = [tmp_path / name for name in ("all.png", "some.pdf")]
+    assert run("register", room.source, room.target, "--matches", pictures[0]).exit_code == 0
+    assert pictures[0].read_bytes().startswith(b"\x89PNG")
+    words = ("--matches", pictures[1], "--points", "2000", "--voxel", "0.2")
+    assert run("register", room.source, room.target, *words).exit_code == 0
+    assert pictures[1].read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.real

@@ -6,7 +6,7 @@ from closeness import close
 from determinism import THREADS, same_bits, threads
 from problems import correspondence_problem, random_rotation
 
-from torchreg.ransac.refine import best_first, fit, optimize, score
+from torchreg.hypotheses.refine import best_first, by_count, by_msac, fit, optimize, score
 
 
 def columns(problem):
@@ -117,3 +117,30 @@ def test_the_number_of_threads_changes_nothing():
             start = score(rotation, translation, source, target, 0.2)
             found.append(tuple(optimize(start, source, target, 0.2, 5)))
     assert all(same_bits(one, found[0]) for one in found)
+
+
+def test_msac_is_the_sum_of_what_is_left_of_the_threshold():
+    problem = correspondence_problem(200, noise=0.05)
+    source, target = columns(problem)
+    rotation, translation = near_truth(problem)
+    scored = score(rotation, translation, source, target, 0.2, by_msac)
+    moved = torch.einsum("ijh,jm->him", rotation, source) + translation.t()[:, :, None]
+    square = (moved - target).square().sum(dim=1)
+    assert close(scored.quality, (1 - square / 0.04).clamp(min=0).sum(dim=1), atol=1e-9)
+    counted = score(rotation, translation, source, target, 0.2, by_count)
+    assert torch.equal(counted.quality, counted.support.double())
+    assert torch.equal(counted.support, scored.support)
+
+
+def test_msac_prefers_a_closer_fit_to_one_more_inlier():
+    source = torch.randn(3, 60, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    target = source.clone()
+    target[0, 0] += 0.25  # an outlier of the identity that a step of 0.1 takes in
+    rotation = torch.eye(3, dtype=torch.float64)[..., None].expand(3, 3, 2)
+    step = torch.tensor([[0.0, 0.1], [0, 0], [0, 0]], dtype=torch.float64)
+    first = {}
+    for quality in (by_count, by_msac):
+        scored = score(rotation, step, source, target, 0.2, quality)
+        assert scored.support.tolist() == [59, 60]
+        first[quality] = int(best_first(scored)[0])
+    assert first == {by_count: 1, by_msac: 0}

@@ -6,7 +6,7 @@ from closeness import close
 from determinism import THREADS, pieces, same_bits, threads
 from problems import random_rotation
 
-from torchreg.ransac.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
+from torchreg.hypotheses.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
 
 
 def hypotheses(count, matches, seed=0, dtype=torch.float64):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from problems import correspondence_problem
 
 import torchreg as tr
-from torchreg.ransac.verdict import chance_rate, log10_binomial_tail, log10_false_alarms, refusal
+from torchreg.hypotheses.verdict import chance_rate, log10_binomial_tail, log10_false_alarms, refusal
 
 
 @given(st.integers(1, 60), st.integers(-3, 65), st.integers(1, 999))

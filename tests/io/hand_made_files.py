@@ -19,9 +19,7 @@ def named(names, values, dtype):
     return {name: values[:, i] for i, name in enumerate(names)}
 
 
-def write_ply(
-    path, columns, encoding="binary_little_endian", declared=None, before="", before_bytes=b"", extra=""
-):
+def write_ply(path, columns, encoding="binary_little_endian", declared=None, before="", before_bytes=b"", extra=""):
     """Write columns by name; ``declared`` is the vertex count that the header claims."""
     rows = len(next(iter(columns.values()), ()))
     header = ["ply", f"format {encoding} 1.0", *before.splitlines()]

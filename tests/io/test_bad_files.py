@@ -22,9 +22,7 @@ PLY_HEAD = "ply\nformat ascii 1.0\nelement vertex 1\n"
 PLY_XYZ = "property float x\nproperty float y\nproperty float z\n"
 PCD = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3\n"
 
-patient = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+patient = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def refused(path):

@@ -115,18 +115,14 @@ def test_pcd_of_open3d(tmp_path, compressed, ascii_text):
 
     o3d = load_open3d()
     steps = np.arange(3000)
-    points = np.stack([steps % 7, steps // 100, np.sin(steps)], axis=1).astype(
-        "f4"
-    )  # both runs and references
+    points = np.stack([steps % 7, steps // 100, np.sin(steps)], axis=1).astype("f4")  # both runs and references
     colors = np.stack([steps % 256, steps // 12, steps * 0], axis=1).astype("u1")
     pcd = o3d.t.geometry.PointCloud(o3d.core.Tensor(points))
     pcd.point.colors = o3d.core.Tensor(colors)
     path = tmp_path / "a.pcd"
     o3d.t.io.write_point_cloud(str(path), pcd, write_ascii=ascii_text, compressed=compressed)
     report = read_cloud_report(path, dtype=torch.float64)
-    assert report.format == "pcd " + (
-        "ascii" if ascii_text else "binary_compressed" if compressed else "binary"
-    )
+    assert report.format == "pcd " + ("ascii" if ascii_text else "binary_compressed" if compressed else "binary")
     atol = 1e-5 if ascii_text else 0  # Open3D writes text with few digits
     np.testing.assert_allclose(report.cloud.points.numpy(), points, atol=atol, rtol=0)
     np.testing.assert_array_equal(report.cloud.colors.numpy(), colors / 255)

@@ -10,6 +10,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, turn, verified_result
 
 from torchreg.io import read_transform_text, result_to_dict, write_result_json
 from torchreg.io.quaternion import quaternion_wxyz
@@ -121,6 +122,52 @@ def test_a_failed_pair(tmp_path):
     write_result_json(tmp_path / "r.json", a_result(), 1, **NAMES)
     with pytest.raises(ValueError, match="a registration that succeeded, got one that failed"):
         read_transform_text(tmp_path / "r.json")
+
+
+KEYS = [
+    *("source", "target", "success", "reason", "notes", "T_target_source", "quaternion", "translation", "fitness"),
+    *("inlier_rmse", "probability", "overlap", "strength", "information", "runner_up", "margin", "candidates"),
+    *("stages", "counts", "seed", "options", "seconds", "versions"),
+]
+
+
+def test_what_weighing_the_pose_gave(tmp_path):
+    result = verified_result()
+    write_result_json(tmp_path / "r.json", result, **NAMES)
+    found = json.loads((tmp_path / "r.json").read_text(), parse_constant=pytest.fail)
+    assert list(found) == KEYS
+    assert (found["probability"], found["overlap"], found["strength"]) == (0.998, 0.52, 0.31)
+    assert (found["margin"], found["runner_up"]) == (5.2, turn(100, (3.0, 4.0, 0.0)).tolist())
+    assert found["information"] == result.information[0].tolist()
+    best, probe = found["candidates"]
+    assert best == {**candidate()._asdict(), "T_target_source": turn(10).tolist()}
+    assert (probe["origin"], probe["colors"]) == ("slide", None)
+    assert found["stages"] == {
+        "given": {"source": 30433, "target": 28001},
+        "points": {"source": 9812, "target": 9950},
+        "described": {"source": 9700, "target": 9950},
+        "proposals": [proposal._asdict() for proposal in PROPOSALS],
+    }
+    assert STAGES.proposals == PROPOSALS
+    assert found["options"]["match_neighbors"] == OPTIONS.match_neighbors
+
+
+def test_numbers_that_are_not_there_are_none():
+    none = result_to_dict(bare_result(), **NAMES)
+    assert list(none) == KEYS
+    for key in ("probability", "overlap", "strength", "information", "runner_up", "margin", "stages"):
+        assert none[key] is None
+    assert none["candidates"] == []
+    nan = torch.full((1, 4, 4), float("nan"), dtype=torch.float64)
+    alone = result_to_dict(
+        verified_result(runner_up=nan, margin=torch.tensor([float("inf")], dtype=torch.float64)), **NAMES
+    )
+    assert (alone["runner_up"], alone["margin"]) == (None, None)
+
+
+def test_every_key_is_documented():
+    for key in KEYS:
+        assert f"``{key}``" in result_to_dict.__doc__
 
 
 def test_refused(tmp_path):

@@ -120,3 +120,28 @@ def test_rmse_refuses_what_does_not_fit():
         tr.metrics.rmse(EYE, EYE, torch.zeros(5, 2))
     with refuses("points", "at least one"):
         tr.metrics.rmse(EYE, EYE, torch.zeros(0, 3))
+
+
+def test_pose_errors_of_a_known_difference():
+    T = turned(2, translation=(0.0, 0, 3))
+    origin = torch.tensor([[9.0, 0, 0]], dtype=torch.float64)
+    cloud = tr.Clouds(points=torch.tensor([[1.0, 0, 0], [-1, 0, 0]]), origin=origin)
+    found = tr.metrics.pose_errors(cloud, EYE, T)
+    chords = [2 * radius * math.sin(math.radians(1)) for radius in (10, 8)]
+    assert found.rre_degrees == pytest.approx(2)
+    assert found.rte_meters == pytest.approx(3)
+    assert found.rmse_meters == pytest.approx(math.sqrt(sum(chord**2 + 9 for chord in chords) / 2))
+    assert all(isinstance(value, float) for value in found)
+    assert tr.metrics.pose_errors(cloud, T, T).rmse_meters == 0
+
+
+def test_pose_errors_refuse_what_does_not_fit():
+    cloud = tr.Clouds(points=torch.rand(5, 3))
+    with refuses("source", "a batch of one", "2 clouds"):
+        tr.metrics.pose_errors(tr.Clouds.pack([cloud, cloud]), EYE, EYE)
+    with refuses("T_true", "(4, 4)", "(1, 4, 4)"):
+        tr.metrics.pose_errors(cloud, EYE[None], EYE)
+    with refuses("T_estimated", "(4, 4)", "(3, 4)"):
+        tr.metrics.pose_errors(cloud, EYE, EYE[:3])
+    with refuses("points", "at least one"):
+        tr.metrics.pose_errors(tr.Clouds(points=torch.zeros(0, 3)), EYE, EYE)

@@ -12,7 +12,7 @@ from problems import Problem, correspondence_problem, matched, pack_problems
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.ransac.sampling import ROUND
+from torchreg.ransac.sampling import FIRST_ROUND
 
 EYE = torch.eye(4, dtype=torch.float64)
 FEW = tr.RansacOptions(hypotheses=20_000)
@@ -211,8 +211,8 @@ def test_easy_problems_stop_early_and_hard_ones_later():
     drawn = [
         int(run(correspondence_problem(500, ratio, seed=4), options).hypotheses.drawn) for ratio in (0.2, 0.95, 1.0)
     ]
-    assert drawn[0] == ROUND
-    assert ROUND < drawn[1] < 600_000
+    assert drawn[0] == FIRST_ROUND
+    assert FIRST_ROUND < drawn[1] < 600_000
     assert drawn[2] == 600_000
     calm = replace(options, confidence=0.5)
     assert int(run(correspondence_problem(500, 0.95, seed=4), calm).hypotheses.drawn) < drawn[1]
@@ -417,3 +417,17 @@ def test_sides_of_different_numbers_are_refused(sides):
     source, target = (tr.Clouds.pack([problem.source] * number) for number in sides)
     with pytest.raises(ValueError, match=r"^(matches|target): expected .+, got .+"):
         tr.ransac(source, target, problem.matches)
+
+
+def test_scorings_choose_differently_and_stop_alike():
+    differ = 0
+    for seed in range(6):
+        problem = correspondence_problem(200, 0.8, noise=0.1, seed=seed)
+        options = [tr.RansacOptions(scoring=scoring, local_optimization=0) for scoring in ("count", "msac")]
+        counted, weighed = (run(problem, option) for option in options)
+        assert torch.equal(counted.hypotheses.drawn, weighed.hypotheses.drawn)
+        assert counted.inliers.sum() >= weighed.inliers.sum()
+        differ += not same_bits(counted.T_target_source, weighed.T_target_source)
+    assert differ >= 2
+    with refuses("scoring", "count", "best"):
+        tr.RansacOptions(scoring="best")

@@ -46,7 +46,8 @@ def run(monkeypatch):
 def test_a_good_pair_in_a_table(run, files):
     result = run(files / "source.ply", files / "target.ply", *VOXEL, "--truth", files / "truth.txt")
     assert result.exit_code == 0, result.output
-    for words in ("torchreg", "Open3D", "shared", "RRE", "fitness", "ransac (s)", "source, float64", "target, float32"):
+    named = ("torchreg", "Open3D", "shared", "RRE", "fitness", "hypotheses (s)", "source, float64", "target, float32")
+    for words in named:
         assert words in result.stdout
     assert result.stdout.count("0.000000000") >= 6  # two transforms
     assert result.stdout.rstrip().endswith("FPFH agree; torchreg registered")

@@ -165,7 +165,8 @@ def test_clouds_without_a_viewpoint_say_so():
 def test_the_stages_are_timed_in_order():
     pair = room_pair(400)
     names, seconds = zip(*tr.register(pair.source, pair.target, ROOM).seconds, strict=True)
-    assert names == ("options", "downsample", "neighbors and normals", "descriptors", "matching", "ransac")
+    before = ("options", "downsample", "neighbors and normals", "descriptors", "matching")
+    assert names == (*before, "hypotheses", "decision")
     assert all(second >= 0 for second in seconds)
 
 

@@ -1,25 +1,24 @@
 """Tables and texts."""
 
-import math
 from dataclasses import replace
 
 import pytest
 import torch
 from problems import room_pair
+from results import bare_result, failed_result, verified_result
 from rich.console import Console
 
 import torchreg as tr
 from torchreg.geometry.se3 import rigid
 from torchreg.io import read_cloud_report
+from torchreg.metrics import PoseErrors
 from torchreg.report import (
     DemoRow,
-    TruthErrors,
     cloud_table,
     demo_sentence,
     demo_table,
     matrix_text,
     registration_table,
-    truth_errors,
 )
 from torchreg.report.text import legible, share
 
@@ -38,7 +37,7 @@ def result():
 
 
 def test_registration_table(result):
-    truth = TruthErrors(0.5, 0.0123, 0.02)
+    truth = PoseErrors(0.5, 0.0123, 0.02)
     text = shown(registration_table(result, source="[a].ply", target="b.ply", truth=truth))
     options = result.options[0]
     for words in (
@@ -68,6 +67,23 @@ def test_registration_table_of_a_failure(result):
     assert "geometry alone" in text
 
 
+def test_registration_table_of_a_pose_that_was_weighed():
+    text = shown(registration_table(verified_result(), source="a", target="b"))
+    rows = {row[:16].strip(): row[16:].strip() for row in text.splitlines()}
+    lead = "log-odds 5.2 lower (about 181 to 1)"
+    assert rows["overlap"] == "0.5200 of the points have a partner"
+    assert rows["strength"] == "0.310 of 1: the surfaces hold the pose in every direction"
+    assert rows["runner-up"] == "turned by 90 degrees, the middle of the overlap moved by 5 m; " + lead
+    assert rows["probability"] == "0.998 that the pose is right"
+    assert "0.070 that the pose" in shown(registration_table(failed_result("sliding: far"), source="a", target="b"))
+
+
+def test_registration_table_of_a_solver_alone():
+    text = shown(registration_table(bare_result(), source="a", target="b"))
+    for name in ("overlap", "strength", "runner-up", "probability"):
+        assert name not in text
+
+
 def test_tables_fold_and_never_cut(result):
     name = "a_very_long_name" * 10 + ".ply"
     narrow = shown(registration_table(result, source=name, target="b"), width=60)
@@ -94,29 +110,13 @@ def test_cloud_table(tmp_path):
     assert "cannot be registered  flat" in shown(cloud_table(file, 0.0, None, "flat"))
 
 
-def test_truth_errors_of_a_known_difference():
-    angle = math.radians(2)
-    R = torch.tensor(
-        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]], dtype=torch.float64
-    )
-    cloud = tr.Clouds(
-        points=torch.tensor([[1.0, 0, 0], [-1, 0, 0]]), origin=torch.tensor([[9.0, 0, 0]], dtype=torch.float64)
-    )
-    found = truth_errors(cloud, torch.eye(4, dtype=torch.float64), rigid(R, torch.tensor([0, 0, 3.0]).double()))
-    chords = [2 * radius * math.sin(angle / 2) for radius in (10, 8)]
-    expected = math.sqrt(sum(chord**2 + 9 for chord in chords) / 2)
-    assert found.rre_degrees == pytest.approx(2)
-    assert found.rte_meters == pytest.approx(3)
-    assert found.rmse_meters == pytest.approx(expected)
-
-
 def a_row(method="m", right=True, ratio=0.1, degrees=0.1, success=True):
     return DemoRow(
         method=method,
         points=(9000, 12345),
         inlier_ratio=ratio,
         threshold=0.2,
-        errors=TruthErrors(degrees, 0.5, 0.25),
+        errors=PoseErrors(degrees, 0.5, 0.25),
         seconds=1.26,
         success=success,
         right=right,

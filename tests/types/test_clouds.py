@@ -82,9 +82,7 @@ def test_what_does_not_fit_is_refused(fields, name, parts):
         tr.Clouds(**({"points": POINTS} | fields))
 
 
-@given(
-    st.lists(st.integers(0, 6), min_size=1, max_size=6), st.booleans(), st.booleans(), st.booleans(), st.booleans()
-)
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=6), st.booleans(), st.booleans(), st.booleans(), st.booleans())
 def test_unpack_undoes_pack(lengths, colors, normals, viewpoint, wide):
     dtype = torch.float64 if wide else torch.float32
     made = [
@@ -168,7 +166,5 @@ def test_pack_is_a_collate_function():
 @pytest.mark.slow
 def test_pack_is_a_collate_function_of_workers():
     made = [cloud(rows, seed) for seed, rows in enumerate((4, 1, 2, 3))]
-    loader = DataLoader(
-        made, batch_size=2, collate_fn=tr.Clouds.pack, num_workers=2, multiprocessing_context="spawn"
-    )
+    loader = DataLoader(made, batch_size=2, collate_fn=tr.Clouds.pack, num_workers=2, multiprocessing_context="spawn")
     assert same_bits(tr.Clouds.pack(list(loader)), tr.Clouds.pack(made))

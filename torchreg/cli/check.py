@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from enum import Enum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,10 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from torchreg.cli import options as opt
+from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
 from torchreg.cli.overrides import Overrides, options_for
-from torchreg.cli.pair import read_pair
+from torchreg.cli.pair import PairInput, read_pair
 from torchreg.cli.progress import step
 
 if TYPE_CHECKING:
@@ -32,15 +32,6 @@ class Matched(str, Enum):
     fpfh = "fpfh"
 
 
-TruthFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--truth",
-        metavar="FILE",
-        help="The true transform, 4x4 text or JSON, in meters: adds the errors RRE (degrees), RTE and RMSE (meters).",
-        rich_help_panel="Input",
-    ),
-]
 MatchedFeatures = Annotated[
     Matched,
     typer.Option(
@@ -51,17 +42,11 @@ MatchedFeatures = Annotated[
 ]
 
 
+@expanded
 def check(
-    source: opt.Source,
-    target: opt.Target,
-    points: opt.Points = None,
-    viewpoint: opt.ViewpointText = "auto",
-    truth: TruthFile = None,
-    preset: opt.PresetName = opt.Preset.default,
-    voxel: opt.Voxel = None,
-    hypotheses: opt.Hypotheses = None,
+    pair_input: PairInput,
+    overrides: Overrides,
     features: MatchedFeatures = Matched.fused,
-    seed: opt.Seed = 0,
     threads: opt.Threads = None,
     json: opt.JsonFile = None,
 ) -> None:
@@ -72,23 +57,21 @@ def check(
     unreadable file. 3: rows differ, or the registration failed.
     """
     from torchreg.cli.device import use
-    from torchreg.io import read_transform_text
     from torchreg.io.result_json import versions
     from torchreg.reference import compare
 
-    check_outputs([Output("--json", json)], [path for path in (source, target, truth) if path is not None])
-    overrides = Overrides(voxel=voxel, hypotheses=hypotheses)
+    check_outputs([Output("--json", json)], pair_input.paths)
     use(opt.Device.cpu, threads)
-    T_true = None if truth is None else read_transform_text(truth)
-    pair = read_pair(source, target, viewpoint=viewpoint, points=points, seed=seed)
+    T_true = pair_input.transform()
+    pair = read_pair(pair_input)
     with step(f"registering {pair.words[0]} to {pair.words[1]} with torchreg and with Open3D"):
-        options = options_for(*pair.used, preset, overrides)
-        found = compare(*pair.used, options, truth=T_true, seed=seed, features=features.value)
+        options = options_for(*pair.used, overrides)
+        found = compare(*pair.used, options, truth=T_true, seed=pair_input.seed, features=features.value)
 
     good = found.descriptors_agree and found.torchreg.success
     if json is not None:
-        run = {"preset": preset.value, "points": points, "viewpoint": viewpoint, "seed": seed}
-        names = {"source": str(source), "target": str(target)}
+        run = {"preset": overrides.preset.value, **pair_input.run(), "seed": pair_input.seed}
+        names = {"source": str(pair_input.source), "target": str(pair_input.target)}
         write_json(json, {**names, "agree": good, **found.to_dict(), "run": run, "versions": versions()})
     if json == STANDARD_OUTPUT:
         complain(_verdict(found))
@@ -168,4 +151,3 @@ def _verdict(found: Comparison) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
-

@@ -16,10 +16,10 @@ from torchreg.cli.output import Output, check_outputs, standard_output
 from torchreg.cli.progress import step
 from torchreg.datasets import ScanPair, mall
 from torchreg.io import write_cloud, write_result_json, write_transform_text
-from torchreg.metrics import inlier_ratio, recalled_by_rmse
+from torchreg.metrics import inlier_ratio, pose_errors, recalled_by_rmse
 from torchreg.registration import PAPER, derive_options, register
 from torchreg.registration.describe import downsample
-from torchreg.report import DemoRow, demo_figure, demo_sentence, demo_table, save_figure, truth_errors
+from torchreg.report import DemoRow, demo_figure, demo_sentence, demo_table, save_figure
 from torchreg.report.save import FIGURE_SUFFIXES
 from torchreg.report.text import legible
 from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
@@ -102,7 +102,7 @@ def _run(
     source, target = (downsample(cloud, result.options) for cloud in clouds)
     threshold, T_true = options.ransac.inlier_threshold, pair.T_target_source
     T, success = result.T_target_source[0], bool(result.success[0])
-    errors = truth_errors(pair.source, T_true, T)
+    errors = pose_errors(pair.source, T_true, T)
     row = DemoRow(
         method=method,
         points=(len(source.points), len(target.points)),

@@ -18,6 +18,22 @@ class Preset(str, Enum):
     paper = "paper"
 
 
+class Effort(str, Enum):
+    """How much a registration tries, as ``register`` names it."""
+
+    plain = "plain"
+    fast = "fast"
+    balanced = "balanced"
+    thorough = "thorough"
+
+
+class Solver(str, Enum):
+    """What turns matches into poses."""
+
+    ransac = "ransac"
+    compatibility = "compatibility"
+
+
 class Device(str, Enum):
     """Where tensors are computed."""
 
@@ -53,6 +69,15 @@ ViewpointText = Annotated[
         metavar="auto|origin|none|X,Y,Z",
         help="Where the scanner stood, towards which normals are turned: as the file says or else at its zero (auto), "
         "at its zero (origin), not known (none), or a position in meters in the frame of both files.",
+        rich_help_panel=_INPUT,
+    ),
+]
+TruthFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth",
+        metavar="FILE",
+        help="The true transform, 4x4 text or JSON, in meters: adds the errors RRE (degrees), RTE and RMSE (meters).",
         rich_help_panel=_INPUT,
     ),
 ]
@@ -106,12 +131,30 @@ InlierThreshold = Annotated[
     ),
 ]
 
+EffortName = Annotated[
+    Effort | None,
+    typer.Option(
+        "--effort",
+        help="How much is tried (a name; balanced unless told, plain with the paper's preset). plain: one set of "
+        "features and one solver, as in the paper. The others let candidate poses compete on the clouds themselves, "
+        "from one set of features (fast), two (balanced), or all sets and both solvers (thorough).",
+        rich_help_panel=_SEARCH,
+    ),
+]
+SolverName = Annotated[
+    Solver | None,
+    typer.Option(
+        "--solver",
+        help="What turns matches into poses (a name; compatibility unless told, ransac with the paper's preset).",
+        rich_help_panel=_SEARCH,
+    ),
+]
 Hypotheses = Annotated[
     int | None,
     typer.Option(
         "--hypotheses",
         metavar="COUNT",
-        help="How many minimal samples RANSAC draws at most (a count; 600000 unless told).",
+        help="How many minimal samples RANSAC draws at most, where it is the solver (a count; 600000 unless told).",
         rich_help_panel=_SEARCH,
     ),
 ]
@@ -176,6 +219,44 @@ FigureFile = Annotated[
         "--figure",
         metavar="FILE.png",
         help="Draw before and after from three sides, axes in meters (.png, .pdf or .svg).",
+        rich_help_panel=_OUTPUT,
+    ),
+]
+
+
+ExplainSwitch = Annotated[
+    bool,
+    typer.Option(
+        "--explain",
+        help="Say after the table what each stage had and lost, which poses were weighed and what may help (a switch).",
+        rich_help_panel=_OUTPUT,
+    ),
+]
+MatchesFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--matches",
+        metavar="FILE.png",
+        help="Draw the matches between both clouds, inliers and outliers told apart, axes in meters (.png, .pdf or "
+        ".svg).",
+        rich_help_panel=_OUTPUT,
+    ),
+]
+TransformFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--transform",
+        metavar="FILE.txt",
+        help="Write the transform as four lines of four numbers (translation in meters).",
+        rich_help_panel=_OUTPUT,
+    ),
+]
+AlignedFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--aligned",
+        metavar="FILE.ply",
+        help="Write the whole source in the target's frame, coordinates in meters (.ply or .npz).",
         rich_help_panel=_OUTPUT,
     ),
 ]

@@ -55,6 +55,6 @@ def write_json(path: Path, content: dict[str, object]) -> None:
         file.write(text.encode())
 
 
-def standard_output() -> Console:
-    """Where tables go: no colors where it is not a terminal, and nothing in the text is taken for markup."""
-    return Console(markup=False, highlight=False, emoji=False)
+def standard_output(*, stderr: bool = False) -> Console:
+    """Where tables go (or standard error): no colors off a terminal, nothing in the text is taken for markup."""
+    return Console(stderr=stderr, markup=False, highlight=False, emoji=False)

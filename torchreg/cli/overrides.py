@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from torchreg.cli.options import Preset
+from torchreg.cli import options as opt
 from torchreg.preprocess import voxel_downsample
 from torchreg.registration import PAPER, derive_options, spacing
 from torchreg.registration.scale import scaled_options, usable
@@ -16,20 +16,21 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """What was given on the command line; ``None`` where nothing was. Lengths in meters.
+    """A preset, and what was given over it; ``None`` where nothing was. Lengths in meters.
 
     Raises:
         ValueError: a value that ``RegistrationOptions`` would refuse.
     """
 
-    voxel: float | None = None
-    normal_radius: float | None = None
-    feature_radius: float | None = None
-    color_radius: float | None = None
-    inlier_threshold: float | None = None
-    hypotheses: int | None = None
-    confidence: float | None = None
-    no_color: bool = False
+    preset: opt.PresetName = opt.Preset.default
+    voxel: opt.Voxel = None
+    normal_radius: opt.NormalRadius = None
+    feature_radius: opt.FeatureRadius = None
+    color_radius: opt.ColorRadius = None
+    inlier_threshold: opt.InlierThreshold = None
+    hypotheses: opt.Hypotheses = None
+    confidence: opt.Confidence = None
+    no_color: opt.NoColor = False
 
     def __post_init__(self) -> None:
         self.over(PAPER)
@@ -53,12 +54,12 @@ class Overrides:
         )
 
 
-def options_for(source: Clouds, target: Clouds, preset: Preset, overrides: Overrides) -> RegistrationOptions:
+def options_for(source: Clouds, target: Clouds, overrides: Overrides) -> RegistrationOptions:
     """Options for one pair: the paper's, or derived from the spacing the points have once they are downsampled.
 
     A voxel size given with the default preset thus sets the scale of all lengths that are not given.
     """
-    if preset is Preset.paper:
+    if overrides.preset is opt.Preset.paper:
         return overrides.over(PAPER)
     if overrides.voxel is None or not (usable(source) and usable(target)):
         return overrides.over(derive_options(source, target)[0])

@@ -1,4 +1,4 @@
-"""Scan pairs with known truth.
+"""Scan pairs and correspondence problems with known truth.
 
 Example:
     >>> from torchreg.datasets import mall
@@ -7,6 +7,7 @@ Example:
 """
 
 from torchreg.datasets.mall import mall
+from torchreg.datasets.matches import MatchProblem, match_problem
 from torchreg.datasets.pair import ScanPair
 
-__all__ = ["ScanPair", "mall"]
+__all__ = ["MatchProblem", "ScanPair", "mall", "match_problem"]

@@ -13,11 +13,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write
 from torchreg.io.quaternion import quaternion_wxyz
-from torchreg.types import RegistrationResult
+from torchreg.types import RegistrationResult, StageCounts
+
+_VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")
 
 
 def result_to_dict(
@@ -25,7 +28,8 @@ def result_to_dict(
 ) -> dict[str, object]:
     """One pair of a result as plain numbers, texts and lists, ready for JSON.
 
-    Numbers that are not finite become ``None``. ``seconds`` are those of the whole batch.
+    Numbers that are not finite become ``None`` (in JSON ``null``), as do those that a solver alone does not give.
+    ``seconds`` are those of the whole batch.
 
     Args:
         result: of B pairs.
@@ -35,9 +39,20 @@ def result_to_dict(
         target: name of the target cloud.
 
     Returns:
-        The keys source, target, success, reason, notes, T_target_source (4 x 4), quaternion (w, x, y, z of
-        its rotation, w >= 0), translation (meters), fitness, inlier_rmse (meters), counts, seed, options,
-        seconds, versions.
+        A dictionary with the keys
+
+        - ``source``, ``target``: the names given; ``success``, ``reason`` (empty beside success), ``notes`` (list);
+        - ``T_target_source``: 4 x 4, meters; ``quaternion``: w, x, y, z of its rotation, w >= 0; ``translation``;
+        - ``fitness``, ``inlier_rmse`` (meters), ``probability``, ``overlap``, ``strength``: numbers;
+        - ``information``: 6 x 6, rotations before translations, or ``None``;
+        - ``runner_up``: 4 x 4, or ``None`` where there is none; ``margin``: log-odds, ``None`` where infinite;
+        - ``candidates``: a list, best first, of origin, T_target_source (4 x 4), support, matches, surprise, overlap,
+          closeness, normals, colors, conflict, log_odds, probability, as ``Candidate`` describes them;
+        - ``stages``: given, points and described (source and target each), and proposals, a list of origin, matches,
+          drawn, kept, scored, poses, support, as ``StageCounts`` and ``Proposal`` describe them; or ``None``;
+        - ``counts``: correspondences, inliers, hypotheses_drawn, hypotheses_kept, hypotheses_scored;
+        - ``seed``; ``options``: all fields of ``RegistrationOptions``, or ``None``; ``seconds``: by stage;
+        - ``versions``: of this library, what it computes with, and the platform.
 
     Raises:
         ValueError: ``pair`` is not one of the result's.
@@ -58,6 +73,9 @@ def result_to_dict(
         "translation": T[:3, 3].tolist(),
         "fitness": float(result.fitness[pair]),
         "inlier_rmse": float(result.inlier_rmse[pair]),
+        **{name: _value(getattr(result, name), pair) for name in _VERIFIED},
+        "candidates": [candidate._asdict() for candidate in result.candidates[pair]] if result.candidates else [],
+        "stages": _stages(result.stages[pair]) if result.stages else None,
         "counts": {
             "correspondences": end - begin,
             "inliers": int(result.inliers[begin:end].sum()),
@@ -107,8 +125,26 @@ def versions() -> dict[str, str | None]:
     }
 
 
+def _value(values: Tensor | None, pair: int) -> object:
+    """The pair's number or matrix; ``None`` where it was not computed, or is a matrix that is not finite."""
+    if values is None:
+        return None
+    own = values[pair].detach().cpu()
+    return own.tolist() if own.ndim == 0 or bool(torch.isfinite(own).all()) else None
+
+
+def _stages(stages: StageCounts) -> dict[str, object]:
+    sides = {
+        name: dict(zip(("source", "target"), getattr(stages, name), strict=True))
+        for name in ("given", "points", "described")
+    }
+    return {**sides, "proposals": [proposal._asdict() for proposal in stages.proposals]}
+
+
 def _plain(value: Any) -> Any:  # noqa: ANN401
-    """Lists for tuples and ``None`` for numbers that are not finite, all the way down."""
+    """Lists for tensors and tuples and ``None`` for numbers that are not finite, all the way down."""
+    if isinstance(value, Tensor):
+        return _plain(value.detach().cpu().tolist())
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -2,15 +2,17 @@
 
 from torchreg.metrics.matches import feature_match_recall, inlier_ratio
 from torchreg.metrics.overlap import fitness, inlier_rmse, overlap
-from torchreg.metrics.pose import rmse, rre, rte
+from torchreg.metrics.pose import PoseErrors, pose_errors, rmse, rre, rte
 from torchreg.metrics.recall import recalled_by_error, recalled_by_rmse, registration_recall
 
 __all__ = [
+    "PoseErrors",
     "feature_match_recall",
     "fitness",
     "inlier_ratio",
     "inlier_rmse",
     "overlap",
+    "pose_errors",
     "recalled_by_error",
     "recalled_by_rmse",
     "registration_recall",

@@ -2,11 +2,52 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.types import Clouds
+
+
+class PoseErrors(NamedTuple):
+    """Errors of one transform against the true one, as plain numbers.
+
+    Attributes:
+        rre_degrees: relative rotation error (Eq. 5).
+        rte_meters: relative translation error (Eq. 6).
+        rmse_meters: root mean square distance between the source points under the two transforms (Eq. 7).
+    """
+
+    rre_degrees: float
+    rte_meters: float
+    rmse_meters: float
+
+
+def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErrors:
+    """All three errors of a transform of one cloud, in float64 on the CPU. No gradients.
+
+    Args:
+        source: one cloud.
+        T_true: (4, 4), meters, origins included.
+        T_estimated: (4, 4), likewise.
+
+    Raises:
+        ValueError: several clouds, an empty one, or transforms of another shape.
+
+    Example:
+        >>> cloud = Clouds(points=torch.rand(9, 3))
+        >>> pose_errors(cloud, torch.eye(4), torch.eye(4))
+        PoseErrors(rre_degrees=0.0, rte_meters=0.0, rmse_meters=0.0)
+    """
+    expect(len(source) == 1, "source", "a batch of one (cloud.select(b) picks one)", f"{len(source)} clouds")
+    expect_shape(T_true, "T_true", (4, 4))
+    expect_shape(T_estimated, "T_estimated", (4, 4))
+    points = source.points.detach().cpu().to(torch.float64) + source.origin.cpu()
+    true, found = (T.detach().cpu().to(torch.float64) for T in (T_true, T_estimated))
+    return PoseErrors(float(rre(true, found)), float(rte(true, found)), float(rmse(true, found, points)))
 
 
 def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:

@@ -1,5 +1,5 @@
-"""From correspondences to transforms: draw, prune, solve, score, refine."""
+"""From correspondences to transforms by samples: draw, prune, solve, score, refine."""
 
-from torchreg.ransac.loop import ransac
+from torchreg.ransac.loop import judged, ransac, ransac_poses
 
-__all__ = ["ransac"]
+__all__ = ["judged", "ransac", "ransac_poses"]

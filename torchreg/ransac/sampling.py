@@ -7,46 +7,18 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect
+FIRST_ROUND = 1 << 12
+"""Hypotheses drawn at first, so that easy pairs stop soon; every round draws twice as many as the one before."""
 
-ROUND = 1 << 15
-"""Hypotheses drawn at once; a constant, since the stream of draws depends on it."""
-
-_MASK = (1 << 64) - 1
-
-
-def base_seed(generator: torch.Generator | None) -> int:
-    """One number from a generator, advancing it; 0 for ``None``. The global generator is left alone."""
-    if generator is None:
-        return 0
-    device = generator.device
-    drawn = torch.randint(2**62, (1,), generator=generator, device=device)
-    return int(drawn.item())
-
-
-def pair_seed(seed: int, source: Tensor, target: Tensor) -> int:
-    """A seed from ``seed`` and the correspondences (M,) of one pair, counted from the first row of its clouds.
-
-    A pair is recognized by what it holds, so its draws do not depend on its batch or its place in it.
-    """
-    expect(source.shape == target.shape, "target", f"{tuple(source.shape)}", target)
-    place = torch.arange(1, len(source) + 1, device=source.device)
-    # sums of int64 wrap around and are exact in any order
-    print_ = (source * 0x9E3779B1 + target * 0x85EBCA77 + 1) * (place * 0xC2B2AE3D + 0x27D4EB2F)
-    return _mix((_mix(seed) + int(print_.sum().item()) + len(source)) & _MASK) >> 1
+LARGEST_ROUND = 1 << 15
+"""Until so many; constants, since the stream of draws depends on them."""
 
 
 def sample_rounds(count: int, size: int, total: int, seed: int, device: torch.device) -> Iterator[Tensor]:
     """Yield samples (R, size) int64 in [0, count), with replacement, until ``total`` are drawn."""
     generator = torch.Generator().manual_seed(seed)
-    for begin in range(0, total, ROUND):
-        drawn = torch.randint(count, (min(ROUND, total - begin), size), generator=generator)
+    number, begin = FIRST_ROUND, 0
+    while begin < total:
+        drawn = torch.randint(count, (min(number, total - begin), size), generator=generator)
         yield drawn.to(device)
-
-
-def _mix(value: int) -> int:
-    """SplitMix64's finalizer: every bit of the input moves every bit of the output."""
-    value = (value + 0x9E3779B97F4A7C15) & _MASK
-    value = ((value ^ (value >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
-    value = ((value ^ (value >> 27)) * 0x94D049BB133111EB) & _MASK
-    return value ^ (value >> 31)
+        begin, number = begin + number, min(2 * number, LARGEST_ROUND)

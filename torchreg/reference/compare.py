@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape, one_of
-from torchreg.metrics import rmse, rre, rte
+from torchreg.metrics import pose_errors
 from torchreg.reference import open3d
-from torchreg.reference.comparison import Comparison, PoseErrors, Side
+from torchreg.reference.comparison import Comparison, Side
 from torchreg.reference.descriptors import DescriptorDifference, descriptor_differences
 from torchreg.reference.pair import FEATURES
 from torchreg.registration import derive_options, register
@@ -33,7 +33,8 @@ def compare(
 ) -> Comparison:
     """Register a pair with torchreg and with Open3D, and compare what every stage gave.
 
-    Both start from the points that torchreg downsamples, so that rows are the same places. FPFH are compared
+    Like is set beside like: the plain procedure, mutual matches and RANSAC, whatever effort and solver the options
+    name. Both start from the points that torchreg downsamples, so that rows are the same places. FPFH are compared
     with the same normals and neighborhoods, in float64 and in float32, whatever is matched.
 
     Args:
@@ -62,9 +63,10 @@ def compare(
         truth = truth.detach().to("cpu", torch.float64)
     source, target = source.to("cpu"), target.to("cpu")
     options = derive_options(source, target)[0] if options is None else options
+    options = replace(options, match_neighbors=1, solver="ransac", effort="plain")
     if features == "fpfh":
         options = replace(options, color=(), color_weights=())
-    corners = source.points.detach().double() + source.origin
+    given = source
 
     differences: tuple[DescriptorDifference, ...] = ()
     usable = not refuse(source, target)[0]
@@ -83,7 +85,7 @@ def compare(
         register(source, target, as_they_are, seed=seed),
         open3d.register(source, target, as_they_are, seed=seed, features=features),
     )
-    sides = [_side(result, source, target, corners, truth, options) for result in results]
+    sides = [_side(result, given, source, target, truth, options) for result in results]
     return Comparison(
         options=options,
         features=features,
@@ -121,9 +123,9 @@ def _thinned(cloud: Clouds) -> Clouds:
 
 def _side(
     result: RegistrationResult,
+    given: Clouds,
     source: Clouds,
     target: Clouds,
-    points: Tensor,
     truth: Tensor | None,
     options: RegistrationOptions,
 ) -> Side:
@@ -132,7 +134,7 @@ def _side(
     if success:
         fit = open3d.evaluate(source, target, T, options.ransac.inlier_threshold)
         if truth is not None:
-            errors = PoseErrors(float(rre(truth, T[0])), float(rte(truth, T[0])), float(rmse(truth, T[0], points)))
+            errors = pose_errors(given, truth, T[0])
     return Side(
         T_target_source=T[0],
         success=success,

@@ -4,26 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from torch import Tensor
 
+from torchreg.metrics import PoseErrors
 from torchreg.reference.descriptors import DescriptorDifference
 from torchreg.types import RegistrationOptions
-
-
-class PoseErrors(NamedTuple):
-    """Errors of a transform against the true one, the paper's Eq. (5) to (7).
-
-    Attributes:
-        rre_degrees: relative rotation error.
-        rte_meters: relative translation error.
-        rmse_meters: root mean square distance between the source points under the two transforms.
-    """
-
-    rre_degrees: float
-    rte_meters: float
-    rmse_meters: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,7 +12,7 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference.legacy import feature, point_cloud, rows
 from torchreg.reference.stages import estimate_normals, fpfh, voxel_downsample
-from torchreg.registration.describe import color_of_pairs, describe, oriented
+from torchreg.registration.describe import color_of_pairs, describe, fused, oriented
 from torchreg.registration.stopwatch import Stopwatch
 from torchreg.types import Clouds, Features, RegistrationOptions
 
@@ -69,7 +69,7 @@ def register_pair(
     found.score = difference.norm(dim=1)
     watch.lap("matching")
     _ransac(found, source, target, options)
-    watch.lap("ransac")
+    watch.lap("hypotheses")
     return found
 
 
@@ -81,10 +81,12 @@ def _fused(
     target, target_near = oriented(target, [options])
     watch.lap("neighbors and normals")
     source_color, target_color = color_of_pairs(source, target, [options])
-    left = describe(source, source_near, [options], source_color)
-    right = describe(target, target_near, [options], target_color)
+    color = options.color if source_color is not None else ()
+    left = describe(source, source_near, [options], source_color, color)
+    right = describe(target, target_near, [options], target_color, color)
     watch.lap("descriptors")
-    return left, right
+    weights = options.color_weights[: len(color)]
+    return fused(left, color, weights), fused(right, color, weights)
 
 
 def _match(source: Features, target: Features, *, everything: bool) -> tuple[Tensor, tuple[str, ...]]:

@@ -38,30 +38,39 @@ def oriented(cloud: Clouds, options: Options) -> tuple[Clouds, Neighborhoods]:
     return estimate_normals(cloud, normal_near), near
 
 
-def describe(cloud: Clouds, near: Neighborhoods, options: Options, values: Tensor | None) -> Features:
-    """FPFH and the color blocks, fused; ``values`` are the hue, saturation and value of every point."""
+Described = dict[str, Features]
+"""Descriptors of the points of one side by name, not yet scaled or weighed."""
+
+
+def describe(
+    cloud: Clouds, near: Neighborhoods, options: Options, values: Tensor | None, color: Sequence[str]
+) -> Described:
+    """FPFH and the color blocks named; ``values`` are the hue, saturation and value of every point."""
     first = options[0]
     support = near.restrict(per_point(cloud, options, lambda o: o.feature_radius), first.feature_max_neighbors)
-    blocks, weights = [fpfh(cloud, support)], (1.0, *first.color_weights)
-    if values is None:
-        return fuse(*blocks)
+    found = {"fpfh": fpfh(cloud, support)}
+    if values is None or not color:
+        return found
     radius = per_point(cloud, options, lambda o: o.color_radius)
     color_support = near.restrict(radius)
-    for block in first.color:
+    for block in color:
         if block == "contrast":
-            blocks.append(contrast(cloud, color_support, radius))
+            found[block] = contrast(cloud, color_support, radius)
         else:
-            blocks.append(
-                pcfh(
-                    cloud,
-                    color_support,
-                    bins=first.color_bins,
-                    channels=first.color_channels,
-                    saturation_weighting=first.saturation_weighting,
-                    values=values,
-                )
+            found[block] = pcfh(
+                cloud,
+                color_support,
+                bins=first.color_bins,
+                channels=first.color_channels,
+                saturation_weighting=first.saturation_weighting,
+                values=values,
             )
-    return fuse(*blocks, weights=weights)
+    return found
+
+
+def fused(described: Described, color: Sequence[str], weights: Sequence[float]) -> Features:
+    """FPFH and these color blocks with these weights beside FPFH's 1, as one vector."""
+    return fuse(described["fpfh"], *(described[name] for name in color), weights=(1.0, *weights))
 
 
 def color_of_pairs(source: Clouds, target: Clouds, options: Options) -> tuple[Tensor, Tensor] | tuple[None, None]:

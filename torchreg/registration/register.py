@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import torch
-
 from torchreg.errors import expect
-from torchreg.matching import match_mutual
-from torchreg.ransac import ransac
+from torchreg.registration.decide import decide, stage_counts
 from torchreg.registration.describe import color_of_pairs, describe, downsample, oriented, without_lengths
 from torchreg.registration.inspect import notes_on, refuse, set_aside
+from torchreg.registration.recipes import blocks_of, match, recipes_of, solve
 from torchreg.registration.scale import derive_options
 from torchreg.registration.stopwatch import Stopwatch
 from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
+from torchreg.verification import Proposed
 
 
 def register(
@@ -22,18 +21,25 @@ def register(
     target: Clouds,
     options: RegistrationOptions | Sequence[RegistrationOptions] | None = None,
     *,
+    effort: str | None = None,
+    solver: str | None = None,
     seed: int = 0,
 ) -> RegistrationResult:
     """Find the rigid transform of every pair, without a first guess.
 
     The paper's procedure (section 3.2): downsample, normals, FPFH, color histograms, fusion, mutual matches,
-    RANSAC; then a refit to the inliers.
+    hypotheses from them. Beyond the paper, the poses of several sets of features compete: they are weighed on the
+    clouds themselves, refined by ICP, and the winner is judged (``effort``).
 
     Args:
         source: B clouds.
         target: B clouds.
         options: in meters, for all pairs or one per pair (which then differ in lengths only); ``None`` derives
             them from the spacing of each pair's points (``derive_options``); ``PAPER`` has the paper's.
+        effort: ``"plain"`` (the paper's procedure and no more), ``"fast"``, ``"balanced"`` or ``"thorough"``, as
+            in ``RegistrationOptions``; ``None`` takes the options' own: balanced where they are derived, plain
+            in ``PAPER``.
+        solver: ``"ransac"`` or ``"compatibility"``; ``None`` takes the options' own.
         seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
 
     Returns:
@@ -53,9 +59,10 @@ def register(
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     expect(len(source) > 0, "source", "at least one cloud", len(source))
     watch = Stopwatch()
-    given_source, given_target, refused = source, target, refuse(source, target)
+    given, refused = (source, target), refuse(source, target)
     source, target = set_aside(source, refused), set_aside(target, refused)
-    per_pair = _options_of_pairs(source, target, options)
+    per_pair = _options_of_pairs(source, target, options, effort, solver)
+    recipes = recipes_of(per_pair[0], source.colors is not None and target.colors is not None)
     watch.lap("options")
 
     source, target = downsample(source, per_pair), downsample(target, per_pair)
@@ -64,35 +71,50 @@ def register(
     target, target_near = oriented(target, per_pair)
     watch.lap("neighbors and normals")
     source_color, target_color = color_of_pairs(source, target, per_pair)
-    source_features = describe(source, source_near, per_pair, source_color)
-    target_features = describe(target, target_near, per_pair, target_color)
+    source_described = describe(source, source_near, per_pair, source_color, blocks_of(recipes))
+    target_described = describe(target, target_near, per_pair, target_color, blocks_of(recipes))
     watch.lap("descriptors")
-    matches = match_mutual(source_features, target_features, ratio=per_pair[0].ratio)
+    matches = [match(source_described, target_described, recipe, per_pair[0].ratio) for recipe in recipes]
     watch.lap("matching")
-    generator = torch.Generator().manual_seed(seed)
-    result = ransac(source, target, matches, [option.ransac for option in per_pair], generator=generator)
-    watch.lap("ransac")
+    proposed = [
+        Proposed(recipe.words, found, solve(source, target, found, recipe, per_pair, seed))
+        for recipe, found in zip(recipes, matches, strict=True)
+    ]
+    watch.lap("hypotheses")
+    result = decide(source, target, (source_near, target_near), proposed, per_pair)
+    watch.lap("decision")
 
+    stages = stage_counts(given, (source, target), (source_described, target_described), proposed)
     return replace(
         result,
         reason=tuple(early or late for early, late in zip(refused, result.reason, strict=True)),
         options=per_pair,
-        notes=notes_on(given_source, given_target, per_pair),
+        notes=notes_on(*given, per_pair),
         seconds=watch.laps(),
+        stages=stages,
     )
 
 
 def _options_of_pairs(
-    source: Clouds, target: Clouds, options: RegistrationOptions | Sequence[RegistrationOptions] | None
+    source: Clouds,
+    target: Clouds,
+    options: RegistrationOptions | Sequence[RegistrationOptions] | None,
+    effort: str | None,
+    solver: str | None,
 ) -> tuple[RegistrationOptions, ...]:
     if options is None:
-        return derive_options(source, target)
-    if isinstance(options, RegistrationOptions):
-        return (options,) * len(source)
-    listed = isinstance(options, Sequence) and all(isinstance(option, RegistrationOptions) for option in options)
-    expect(listed, "options", "RegistrationOptions, one per pair or one for all", options)
-    per_pair = tuple(options)
-    expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
+        per_pair = derive_options(source, target)
+    elif isinstance(options, RegistrationOptions):
+        per_pair = (options,) * len(source)
+    else:
+        listed = isinstance(options, Sequence) and all(isinstance(option, RegistrationOptions) for option in options)
+        expect(listed, "options", "RegistrationOptions, one per pair or one for all", options)
+        per_pair = tuple(options)
+        expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
+    if effort is not None:
+        per_pair = tuple(replace(option, effort=effort) for option in per_pair)
+    if solver is not None:
+        per_pair = tuple(replace(option, solver=solver) for option in per_pair)
     for option in per_pair[1:]:
         alike = without_lengths(option) == without_lengths(per_pair[0])
         expect(alike, "options", "options that differ in lengths only within one batch", option)

@@ -70,9 +70,7 @@ def derive_options(source: Clouds, target: Clouds) -> tuple[RegistrationOptions,
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     colored = source.colors is not None and target.colors is not None
-    return tuple(
-        _for_pair(one, other, colored) for one, other in zip(source.unpack(), target.unpack(), strict=True)
-    )
+    return tuple(_for_pair(one, other, colored) for one, other in zip(source.unpack(), target.unpack(), strict=True))
 
 
 def scaled_options(scale: float, *, voxel_size: float | None = None, colored: bool = True) -> RegistrationOptions:
@@ -86,7 +84,9 @@ def scaled_options(scale: float, *, voxel_size: float | None = None, colored: bo
         color_channels=("hue", "saturation", "value"),
         equalization="none",
         color_radius=5 * scale,
+        solver="compatibility",
         ransac=RansacOptions(inlier_threshold=1.5 * scale),
+        effort="balanced",
     )
 
 

@@ -4,17 +4,17 @@ matplotlib is imported when the first picture is drawn.
 """
 
 from torchreg.report.cloud_table import cloud_table
+from torchreg.report.correspondence_figure import correspondence_figure
 from torchreg.report.demo_table import DemoRow, demo_sentence, demo_table
 from torchreg.report.figure import demo_figure, registration_figure
 from torchreg.report.registration_table import matrix_text, registration_table
 from torchreg.report.save import FIGURE_SUFFIXES, save_figure
-from torchreg.report.truth import TruthErrors, truth_errors
 
 __all__ = [
     "FIGURE_SUFFIXES",
     "DemoRow",
-    "TruthErrors",
     "cloud_table",
+    "correspondence_figure",
     "demo_figure",
     "demo_sentence",
     "demo_table",
@@ -22,5 +22,4 @@ __all__ = [
     "registration_figure",
     "registration_table",
     "save_figure",
-    "truth_errors",
 ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rich.table import Table
 from torch import Tensor
 
-from torchreg.report.truth import TruthErrors
+from torchreg.metrics import PoseErrors
 
 _TURNED_ROUND = 170.0  # degrees
 
@@ -33,7 +33,7 @@ class DemoRow:
     points: tuple[int, int]
     inlier_ratio: float
     threshold: float
-    errors: TruthErrors
+    errors: PoseErrors
     seconds: float
     success: bool
     right: bool

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from torchreg.report.axes import AXES, axis_label, note
 from torchreg.report.scene import Scene
 from torchreg.report.text import legible
 from torchreg.report.thinning import box
@@ -23,7 +24,6 @@ SOURCE_COLOR, TARGET_COLOR = "#d55e00", "#0072b2"
 
 _WIDTH = 4.4  # inches of a column
 _MARGIN = 0.04
-_AXES = "xyz"
 
 
 class Column(NamedTuple):
@@ -68,10 +68,10 @@ def draw_panels(
             low, high = _union(least, _padded(*box(points)))
             _set_limits(ax, low[plane], high[plane], ratio)
             ax.tick_params(labelsize=8)
-            ax.set_xlabel(_axis_label(scene, view.right), fontsize=8)
-        row[0].set_ylabel(f"{view.name} view, along {_AXES[view.depth]}\n{_axis_label(scene, view.up)}", fontsize=9)
+            ax.set_xlabel(axis_label(scene, view.right), fontsize=8)
+        row[0].set_ylabel(f"{view.name} view, along {AXES[view.depth]}\n{axis_label(scene, view.up)}", fontsize=9)
         if cut is not None:
-            _note(row[0], f"slice: {_AXES[view.depth]} from {cut[0]:.3g} to {cut[1]:.3g} m in the target's frame")
+            note(row[0], f"slice: {AXES[view.depth]} from {cut[0]:.3g} to {cut[1]:.3g} m in the target's frame")
     for column, ax in zip(columns, axes[0], strict=True):
         ax.set_title(legible(column.heading), fontsize=11, parse_math=False)
     _legend(figure, scene)
@@ -131,16 +131,6 @@ def _set_limits(ax: Axes, low: NDArray[Any], high: NDArray[Any], ratio: float) -
     ax.set_xlim(middle[0] - shown[0] / 2, middle[0] + shown[0] / 2)
     ax.set_ylim(middle[1] - shown[1] / 2, middle[1] + shown[1] / 2)
     ax.set_aspect("equal")
-
-
-def _axis_label(scene: Scene, axis: int) -> str:
-    origin = float(scene.clouds[1].origin[0, axis])
-    return f"{_AXES[axis]} - {origin:.0f} (m)" if origin else f"{_AXES[axis]} (m)"
-
-
-def _note(ax: Axes, text: str) -> None:
-    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
-    ax.annotate(text, (0.01, 0.02), xycoords="axes fraction", fontsize=7, color="0.3", bbox=paper)
 
 
 def _legend(figure: Figure, scene: Scene) -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rich.table import Table
 from rich.text import Text
 from torch import Tensor
 
+from torchreg.metrics import PoseErrors
 from torchreg.report.options_rows import options_rows
 from torchreg.report.text import meters, plain, share, two_columns
-from torchreg.report.truth import TruthErrors
 from torchreg.types import RegistrationResult
+from torchreg.types.explain.facts import facts_of
+from torchreg.types.explain.verdict import meaning_of_strength, runner_up_words
+from torchreg.types.explain.words import chance
 from torchreg.types.packing import spans
 
 
@@ -20,9 +25,9 @@ def registration_table(
     source: str,
     target: str,
     colored: bool = True,
-    truth: TruthErrors | None = None,
+    truth: PoseErrors | None = None,
 ) -> Table:
-    """One pair of a result: its clouds, derived numbers, counts, fit, times, notes and verdict.
+    """One pair of a result: its clouds, derived numbers, counts, fit, certainty, times, notes and verdict.
 
     Args:
         result: of B pairs.
@@ -41,10 +46,12 @@ def registration_table(
     begin, end = spans(result.correspondences.offsets)[pair]
     counts = {name: int(value[pair]) for name, value in result.hypotheses._asdict().items()}
     table.add_row("matches", f"{end - begin:,}")
-    table.add_row("hypotheses", "{drawn:,} drawn, {kept:,} kept by the edge test, {scored:,} scored".format(**counts))
+    table.add_row("hypotheses", "{drawn:,} drawn, {kept:,} kept by the first test, {scored:,} scored".format(**counts))
     table.add_row("inliers", share(int(result.inliers[begin:end].sum()), end - begin))
     table.add_row("fitness", f"{float(result.fitness[pair]):.4f} of the source points near the target")
     table.add_row("inlier_rmse", meters(float(result.inlier_rmse[pair])))
+    for name, value in _verified_rows(result, pair):
+        table.add_row(name, plain(value))
     if result.seconds:
         total = sum(seconds for _, seconds in result.seconds)
         stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds)
@@ -60,6 +67,19 @@ def registration_table(
     else:
         table.add_row("verdict", Text("not registered: ", style="bold red") + plain(result.reason[pair]))
     return table
+
+
+def _verified_rows(result: RegistrationResult, pair: int) -> Iterator[tuple[str, str]]:
+    """What weighing the pose on the clouds gave; nothing for a result made by a solver alone."""
+    facts = facts_of(result, pair)
+    if facts.overlap is not None:
+        yield "overlap", f"{facts.overlap:.4f} of the points have a partner"
+    if facts.strength is not None:
+        yield "strength", f"{facts.strength:.3f} of 1: {meaning_of_strength(facts.strength)}"
+    if facts.margin is not None or facts.apart is not None:
+        yield "runner-up", runner_up_words(facts)
+    if facts.probability is not None:
+        yield "probability", f"{chance(facts.probability)} that the pose is right"
 
 
 def matrix_text(T: Tensor) -> str:

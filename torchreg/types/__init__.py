@@ -1,19 +1,24 @@
 """The named types that flow between the stages: they hold tensors and check them, they compute nothing."""
 
+from torchreg.types.candidate import Candidate, Proposal, StageCounts
 from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences
 from torchreg.types.features import Features
 from torchreg.types.neighborhoods import Neighborhoods
-from torchreg.types.options import RansacOptions, RegistrationOptions
+from torchreg.types.options import CompatibilityOptions, RansacOptions, RegistrationOptions
 from torchreg.types.result import HypothesisCounts, RegistrationResult
 
 __all__ = [
+    "Candidate",
     "Clouds",
+    "CompatibilityOptions",
     "Correspondences",
     "Features",
     "HypothesisCounts",
     "Neighborhoods",
+    "Proposal",
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "StageCounts",
 ]

@@ -8,11 +8,14 @@ from torchreg.errors import at_least, expect, fraction, one_of, positive
 
 EQUALIZATIONS = ("none", "cloud", "joint")
 COLOR_BLOCKS = ("pcfh", "contrast")
+SCORINGS = ("count", "msac")
+SOLVERS = ("ransac", "compatibility")
+EFFORTS = ("plain", "fast", "balanced", "thorough")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RansacOptions:
-    """How hypotheses are drawn, tested and accepted. The defaults are the paper's (section 4.1).
+    """How hypotheses are drawn, tested and accepted. The defaults are the paper's (section 4.1), but for ``scoring``.
 
     Attributes:
         hypotheses: how many minimal samples are drawn at most.
@@ -24,6 +27,8 @@ class RansacOptions:
         sample_size: correspondences in a minimal sample, at least 3.
         local_optimization: rounds of refitting to the inliers of the best hypotheses; 0 keeps the minimal
             solution.
+        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
+            for 1 - (residual / threshold)^2. When to stop drawing follows from the count alone.
     """
 
     hypotheses: int = 600_000
@@ -32,6 +37,7 @@ class RansacOptions:
     inlier_threshold: float = 0.2
     sample_size: int = 3
     local_optimization: int = 10
+    scoring: str = "msac"
 
     def __post_init__(self) -> None:
         at_least(self.hypotheses, "hypotheses", 1)
@@ -40,6 +46,40 @@ class RansacOptions:
         positive(self.inlier_threshold, "inlier_threshold")
         at_least(self.sample_size, "sample_size", 3)
         at_least(self.local_optimization, "local_optimization", 0)
+        one_of(self.scoring, "scoring", SCORINGS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompatibilityOptions:
+    """How sets of correspondences that keep their distances are found and accepted.
+
+    Attributes:
+        inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier, and
+            two correspondences agree when their distances in the two clouds differ by less.
+        nodes: correspondences that are compared each with each, at most 4,095; of more, those that agree with more
+            others than chance gives are taken. Memory grows with the square, time with the cube.
+        partners: in the first set of a seed, those that share the most partners with it.
+        members: of its final set, the seed counted.
+        local_optimization: rounds of refitting to the inliers of the best transforms; 0 keeps those of the sets.
+        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
+            for 1 - (residual / threshold)^2.
+    """
+
+    inlier_threshold: float = 0.2
+    nodes: int = 2000
+    partners: int = 30
+    members: int = 20
+    local_optimization: int = 10
+    scoring: str = "msac"
+
+    def __post_init__(self) -> None:
+        positive(self.inlier_threshold, "inlier_threshold")
+        at_least(self.nodes, "nodes", 3)
+        expect(self.nodes <= 4095, "nodes", "at most 4095", self.nodes)
+        at_least(self.members, "members", 3)
+        at_least(self.partners, "partners", self.members - 1)
+        at_least(self.local_optimization, "local_optimization", 0)
+        one_of(self.scoring, "scoring", SCORINGS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +104,13 @@ class RegistrationOptions:
         saturation_weighting: PCFH votes on hue count by the saturation of both points, so that gray has no say.
         ratio: a match stays when its distance is below this fraction of the second nearest's; ``None``
             leaves the test out.
-        ransac: how hypotheses are drawn and accepted.
+        match_neighbors: a match stands when each point is among the other's so many nearest in feature space.
+        solver: what turns matches into poses: ``"ransac"`` or ``"compatibility"``.
+        ransac: how hypotheses are drawn and accepted; its inlier threshold holds for both solvers.
+        effort: ``"plain"`` is the paper's procedure with these features and this solver, and stops there. The
+            others let several candidate poses compete on the clouds themselves, refine them and judge the
+            winner: ``"fast"`` from one set of features, ``"balanced"`` from two, ``"thorough"`` from all sets
+            and both solvers.
     """
 
     voxel_size: float | None = None
@@ -80,7 +126,10 @@ class RegistrationOptions:
     equalization: str = "cloud"
     saturation_weighting: bool = False
     ratio: float | None = None
+    match_neighbors: int = 1
+    solver: str = "ransac"
     ransac: RansacOptions = field(default_factory=RansacOptions)
+    effort: str = "plain"
 
     def __post_init__(self) -> None:
         if self.voxel_size is not None:
@@ -106,3 +155,7 @@ class RegistrationOptions:
         expect(len(self.color_channels) > 0, "color_channels", "at least one channel", self.color_channels)
         if self.ratio is not None:
             fraction(self.ratio, "ratio")
+            expect(self.match_neighbors == 1, "match_neighbors", "1 beside a ratio", self.match_neighbors)
+        at_least(self.match_neighbors, "match_neighbors", 1)
+        one_of(self.solver, "solver", SOLVERS)
+        one_of(self.effort, "effort", EFFORTS)

@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_dtype, expect_shape
+from torchreg.types.candidate import Candidate, StageCounts
 from torchreg.types.correspondences import Correspondences
+from torchreg.types.explanation import explanation
 from torchreg.types.options import RegistrationOptions
 
 
@@ -25,6 +27,16 @@ class HypothesisCounts(NamedTuple):
     drawn: Tensor
     kept: Tensor
     scored: Tensor
+
+
+_PER_PAIR: dict[str, tuple[int, ...]] = {
+    "probability": (),
+    "overlap": (),
+    "information": (6, 6),
+    "strength": (),
+    "runner_up": (4, 4),
+    "margin": (),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +58,19 @@ class RegistrationResult:
         options: what every pair was run with, derived numbers included; empty when made by ``ransac``.
         notes: what a user should know of a pair, such as that it had no colors.
         seconds: time of every stage, by name, in order; empty when made by ``ransac``.
+        probability: (B,) float64, calibrated, that the transform is right; ``None`` when made by a solver alone,
+            as are all that follow.
+        overlap: (B,) float64, mean over both directions of the share of points with a partner nearer than the
+            inlier threshold.
+        information: (B, 6, 6) float64, Open3D's information matrix (rotations before translations, of the target
+            points that have a partner): ``get_information_matrix_from_point_clouds`` of target to source.
+        strength: (B,) float64 in [0, 1], how evenly the surfaces hold the pose: the square root of the least over
+            the largest eigenvalue of the point-to-plane information, rotations scaled by the size of the
+            overlap. Near 0 the pose slides along a plane, an axis or turns about one.
+        runner_up: (B, 4, 4) float64, the best distinct other pose; NaN where there is none.
+        margin: (B,) float64, log-odds of the pose less those of the runner-up; infinite where there is none.
+        candidates: of every pair, what was weighed, best first.
+        stages: of every pair, what each stage had.
     """
 
     T_target_source: Tensor
@@ -59,6 +84,14 @@ class RegistrationResult:
     options: tuple[RegistrationOptions, ...] = ()
     notes: tuple[tuple[str, ...], ...] = ()
     seconds: tuple[tuple[str, float], ...] = ()
+    probability: Tensor | None = None
+    overlap: Tensor | None = None
+    information: Tensor | None = None
+    strength: Tensor | None = None
+    runner_up: Tensor | None = None
+    margin: Tensor | None = None
+    candidates: tuple[tuple[Candidate, ...], ...] = ()
+    stages: tuple[StageCounts, ...] = ()
 
     def __post_init__(self) -> None:
         expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4))
@@ -74,9 +107,23 @@ class RegistrationResult:
         expect(len(self.reason) == pairs, "reason", f"one text per pair ({pairs})", self.reason)
         for counts, field in zip(self.hypotheses, self.hypotheses._fields, strict=True):
             expect_shape(counts, f"hypotheses.{field}", (pairs,))
-        expect(len(self.options) in (0, pairs), "options", f"none or one per pair ({pairs})", len(self.options))
-        expect(len(self.notes) in (0, pairs), "notes", f"none or one tuple per pair ({pairs})", len(self.notes))
+        for name, size in _PER_PAIR.items():
+            value = getattr(self, name)
+            if value is not None:
+                expect_shape(value, name, (pairs, *size))
+                expect_dtype(value, name, torch.float64)
+        for name in ("options", "notes", "candidates", "stages"):
+            count = len(getattr(self, name))
+            expect(count in (0, pairs), name, f"none or one item per pair ({pairs})", count)
 
     def __len__(self) -> int:
         """The number of pairs, B."""
         return self.T_target_source.shape[0]
+
+    def explain(self, pair: int = 0) -> str:
+        """What each stage of one pair had and lost, in words, and what is most likely to help.
+
+        Raises:
+            ValueError: ``pair`` is not one of the result's.
+        """
+        return explanation(self, pair)

@@ -28,10 +28,9 @@ independent ones would; that is what the distance from 0 allows for."""
 
 _FINER = tuple(2 ** (-j / 2) for j in range(9))
 _SAMPLE = 2000
-_TERMS = 500
 
 
-def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, sample_size: int, scored: int) -> float:
+def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, sample_size: int, scored: float) -> float:
     """The expected number of hypotheses by chance that agree as well as this one, as a power of ten.
 
     Args:
@@ -39,7 +38,7 @@ def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, samp
         target: (M, 3).
         threshold: meters, of an inlier.
         sample_size: correspondences of a minimal sample.
-        scored: hypotheses that were scored.
+        scored: hypotheses that were scored; no more count than there are samples.
     """
     count = len(source)
     chance = chance_rate(source, target, threshold)
@@ -93,9 +92,13 @@ def log10_binomial_tail(trials: int, successes: int, probability: float) -> floa
     if probability * trials >= successes:
         return 0.0  # no rarer than the mean
     log_p, log_q = math.log(probability), math.log1p(-probability)
-    terms = [
-        math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1) + k * log_p + (trials - k) * log_q
-        for k in range(successes, min(trials, successes + _TERMS) + 1)
-    ]
-    largest = max(terms)
-    return (largest + math.log(sum(math.exp(term - largest) for term in terms))) / math.log(10)
+    first = math.lgamma(trials + 1) - math.lgamma(successes + 1) - math.lgamma(trials - successes + 1)
+    first += successes * log_p + (trials - successes) * log_q
+    # beyond the mean every term is smaller than the one before, by a ratio that falls itself
+    total, term, odds = 1.0, 1.0, probability / (1 - probability)
+    for k in range(successes, trials):
+        term *= (trials - k) / (k + 1) * odds
+        total += term
+        if term < 1e-17 * total:
+            break
+    return (first + math.log(total)) / math.log(10)

@@ -1,0 +1,161 @@
+"""How many wrong matches a solver bears: success and time over the outlier ratio, on problems of known truth.
+
+Run as ``python bench/outliers.py``; writes bench/results/outliers.json and docs/outliers.png and prints a table.
+The problems: points on the walls and the furniture of a room of 10 m, wrong matches between any two of them, noise
+of a third of the inlier threshold per coordinate. Every solver gets the same matches and the same threshold, and no
+descriptor. A problem is solved when the matched points are within the threshold of where the truth puts them, root
+mean square, whatever the solver says of its success.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import common
+import numpy as np
+import torch
+from outliers_figure import draw
+from torch import Tensor
+
+import torchreg as tr
+from torchreg.datasets import MatchProblem, match_problem
+from torchreg.open3d_loader import load_open3d
+
+RATIOS = (0.5, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995)
+COUNTS = (2000, 20_000)
+MOST = 20
+THRESHOLD = 0.2
+SECONDS = {2000: 4.0, 20_000: 3.0}
+"""Of each solver at each ratio; then no further problem is begun, but some are run in any case."""
+
+LEAST = {"torchreg compatibility": 4}
+"""Problems that are run in any case; two where nothing is said."""
+
+Solver = Callable[[MatchProblem], Tensor]
+
+
+def torchreg_ransac(problem: MatchProblem) -> Tensor:
+    options = tr.RansacOptions(inlier_threshold=THRESHOLD)
+    return tr.ransac(problem.source, problem.target, problem.matches, options).T_target_source
+
+
+def torchreg_compatibility(problem: MatchProblem) -> Tensor:
+    options = tr.CompatibilityOptions(inlier_threshold=THRESHOLD)
+    return tr.compatibility(problem.source, problem.target, problem.matches, options).T_target_source
+
+
+def open3d_ransac(problem: MatchProblem) -> Tensor:
+    o3d = load_open3d()
+    registration = o3d.pipelines.registration
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(side.numpy())) for side in matched_points(problem)]
+    rows = np.arange(len(problem.matches.source), dtype=np.int32)
+    said = registration.registration_ransac_based_on_correspondence(
+        *clouds,
+        o3d.utility.Vector2iVector(np.stack([rows, rows], axis=1)),
+        THRESHOLD,
+        registration.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            registration.CorrespondenceCheckerBasedOnDistance(THRESHOLD),
+        ],
+        registration.RANSACConvergenceCriteria(600_000, 0.999),
+    )
+    return torch.from_numpy(np.array(said.transformation))[None]
+
+
+def kiss_matcher(problem: MatchProblem) -> Tensor:
+    import kiss_matcher as kiss  # not a dependency; the bench goes on without it
+
+    # both noise bounds of the solver are the threshold
+    solver = kiss.KISSMatcher(kiss.KISSMatcherConfig(voxel_size=THRESHOLD, solver_noise_bound_gain=1.0))
+    said = solver.prune_and_solve(*(list(side.numpy().astype(np.float32)) for side in matched_points(problem)))
+    T = torch.eye(4, dtype=torch.float64)
+    T[:3, :3] = torch.from_numpy(np.array(said.rotation))
+    T[:3, 3] = torch.from_numpy(np.array(said.translation).ravel())
+    return T[None]
+
+
+def matched_points(problem: MatchProblem) -> tuple[Tensor, Tensor]:
+    """(M, 3) of both sides."""
+    return problem.source.points[problem.matches.source], problem.target.points[problem.matches.target]
+
+
+def solvers() -> tuple[dict[str, Solver], dict[str, str]]:
+    """Solvers by name, and why others are left out."""
+    found: dict[str, Solver] = {
+        "torchreg compatibility": torchreg_compatibility,
+        "torchreg RANSAC": torchreg_ransac,
+        "Open3D RANSAC": open3d_ransac,
+    }
+    left_out = {"TEASER++": "does not install: PyPI has no package teaserpp-python"}
+    try:
+        import kiss_matcher as kiss  # noqa: F401
+    except ImportError as problem:
+        left_out["KISS-Matcher"] = f"does not install: {problem}"
+    else:
+        found["KISS-Matcher"] = kiss_matcher
+    return found, left_out
+
+
+def measure(count: int, ratio: float, by_name: dict[str, Solver]) -> dict[str, dict[str, Any]]:
+    """Solved problems and seconds of every solver, run in turn on each problem."""
+    found: dict[str, dict[str, Any]] = {name: {"solved": [], "seconds": []} for name in by_name}
+    for seed in range(MOST):
+        problem = match_problem(count, ratio, place="room", noise=THRESHOLD / 3, seed=seed)
+        for name, solve in by_name.items():
+            if seed >= LEAST.get(name, 2) and sum(found[name]["seconds"]) > SECONDS[count]:
+                continue
+            begin = time.perf_counter()
+            T = solve(problem)
+            found[name]["seconds"].append(time.perf_counter() - begin)
+            error = float(tr.metrics.rmse(problem.T_target_source, T, problem.source.points))
+            found[name]["solved"].append(error < THRESHOLD)
+    return {
+        name: {
+            "solved": sum(cell["solved"]),
+            "problems": len(cell["solved"]),
+            "seconds_median": median(cell["seconds"]),
+            "seconds_max": max(cell["seconds"]),
+        }
+        for name, cell in found.items()
+    }
+
+
+def main() -> None:
+    by_name, left_out = solvers()
+    warm_up = match_problem(500, 0.5)
+    for solve in by_name.values():
+        solve(warm_up)
+    cells = []
+    for count in COUNTS:
+        for ratio in RATIOS:
+            for name, cell in measure(count, ratio, by_name).items():
+                cells.append({"matches": count, "outlier_ratio": ratio, "solver": name, **cell})
+    machine = common.machine()
+    common.save(
+        "outliers",
+        {"machine": machine, "threshold_m": THRESHOLD, "left_out": left_out, "cells": cells},
+    )
+    draw(cells, common.ROOT / "docs" / "outliers.png")
+    for count in COUNTS:
+        print(f"\n{count} matches: solved of problems, median seconds\n")
+        rows = [
+            [name, *(said(cell) for cell in cells if cell["matches"] == count and cell["solver"] == name)]
+            for name in by_name
+        ]
+        print(common.table(["outliers", *(f"{100 * ratio:g} %" for ratio in RATIOS)], rows))
+    print("\n" + common.in_words(machine))
+    for name, why in left_out.items():
+        print(f"{name}: {why}")
+
+
+def said(cell: dict[str, Any]) -> str:
+    return f"{cell['solved']}/{cell['problems']}, {cell['seconds_median']:.2g} s"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,246 @@
+"""How far the verdict can be trusted: fitted, cross-validated by scene, drawn as a reliability plot.
+
+    python bench/verdict.py                 runs all cases (some minutes), then fits, validates and draws
+    python bench/verdict.py --keep FILE     keeps the candidates of all cases there; used again where it exists
+
+Every case of ``cases.py`` is registered with effort "balanced". The weights of ``torchreg/verification/model.py`` are
+those of a conditional logit over the candidates of every case, by maximum likelihood, held by a ridge to weights that
+were set by hand. For the figures a scene is left out in turn: the weights are fitted to the cases that have nothing to
+do with it and judged on the rest.
+Written: bench/results/verdict.json, docs/verdict.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from cases import Case, cases
+from common import REAL, ROOT, in_words, machine, save, table
+from torch import Tensor
+
+import torchreg as tr
+from torchreg import metrics
+from torchreg.registration.scale import scaled_options
+from torchreg.verification.evidence import Evidence
+from torchreg.verification.model import MODEL, PRIOR, probabilities, terms
+from torchreg.verification.reasons import ACCEPTED
+
+RIDGE = 10.0
+ROTATION_BOUND, TRANSLATION_VOXELS = 15.0, 6.0
+WORKERS = 2
+
+
+class Seen(NamedTuple):
+    """The candidates of one case: their terms (H, D) and which of them are right (H,)."""
+
+    name: str
+    kind: str
+    scenes: tuple[str, ...]
+    terms: Tensor
+    right: Tensor
+
+
+def look(case: Case) -> Seen:
+    """Register one case."""
+    options = scaled_options(case.voxel, colored=case.source.colors is not None)
+    found = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
+
+    def column(name: str) -> Tensor:
+        return torch.tensor([getattr(candidate, name) for candidate in found], dtype=torch.float64)
+
+    seen = Evidence(*map(column, Evidence._fields))
+    right = torch.zeros(len(found), dtype=torch.bool)
+    if case.truth is not None and found:
+        T = torch.stack([candidate.T_target_source for candidate in found])
+        right = metrics.rre(case.truth, T) < ROTATION_BOUND
+        right &= metrics.rte(case.truth, T) < TRANSLATION_VOXELS * case.voxel
+    return Seen(case.name, case.kind, case.scenes, terms(seen, column("surprise")), right)
+
+
+def share_of(part: int) -> list[Seen]:
+    """Every ``WORKERS``-th case from ``part`` on."""
+    torch.set_num_threads(1)
+    return [look(case) for number, case in enumerate(cases()) if number % WORKERS == part]
+
+
+def fit(seen: list[Seen]) -> Tensor:
+    """Weights (D,) by maximum likelihood, held to the prior by the ridge."""
+    prior = torch.tensor(list(PRIOR.values()), dtype=torch.float64)
+    most = max(len(case.terms) for case in seen)
+    numbers = torch.zeros(len(seen), most, len(prior), dtype=torch.float64)
+    legal, right = torch.zeros(2, len(seen), most, dtype=torch.bool)
+    for row, case in enumerate(seen):
+        numbers[row, : len(case.terms)], right[row, : len(case.terms)] = case.terms, case.right
+        legal[row, : len(case.terms)] = True
+    none = torch.zeros(len(seen), 1, dtype=torch.float64)
+    weights = prior.clone().requires_grad_()
+    optimizer = torch.optim.LBFGS([weights], max_iter=500, line_search_fn="strong_wolfe")
+
+    def loss() -> Tensor:
+        optimizer.zero_grad()
+        odds = torch.where(legal, numbers @ weights, -1e30)
+        every = torch.logsumexp(torch.cat([odds, none], dim=1), dim=1)
+        # a case without a right candidate is a case for none of them
+        truth = torch.where(right.any(dim=1), torch.logsumexp(torch.where(right, odds, -1e30), dim=1), none[:, 0])
+        value = (every - truth).sum() + RIDGE * (weights - prior)[1:].square().sum()
+        value.backward()
+        return value
+
+    optimizer.step(loss)
+    return weights.detach()
+
+
+class Judged(NamedTuple):
+    """One case under weights: the winner's probability, and whether it is right."""
+
+    name: str
+    kind: str
+    scenes: tuple[str, ...]
+    probability: float
+    right: bool
+
+
+def judge(case: Seen, weights: Tensor) -> Judged:
+    if len(case.terms) == 0:
+        return Judged(*case[:3], 0.0, False)
+    odds = case.terms @ weights
+    best = int(odds.argmax())
+    return Judged(*case[:3], float(probabilities(odds)[best]), bool(case.right[best]))
+
+
+def cross_validated(seen: list[Seen]) -> list[Judged]:
+    """Every case judged by weights that know none of its scenes."""
+    found = []
+    for scenes in dict.fromkeys(case.scenes for case in seen):
+        weights = fit([case for case in seen if not set(case.scenes) & set(scenes)])
+        found += [judge(case, weights) for case in seen if case.scenes == scenes]
+    return found
+
+
+def summary(judged: list[Judged], kinds: tuple[str, ...]) -> dict[str, Any]:
+    chosen = [case for case in judged if case.kind in kinds]
+    right, wrong = [case for case in chosen if case.right], [case for case in chosen if not case.right]
+    return {
+        "cases": len(chosen),
+        "right": len(right),
+        "right_refused": sum(case.probability < ACCEPTED for case in right),
+        "wrong": len(wrong),
+        "wrong_called_success": sum(case.probability >= ACCEPTED for case in wrong),
+    }
+
+
+GROUPS = {
+    "real pairs": ("real",),
+    "different scenes": ("strangers",),
+    "two ends of one cloud": ("two ends",),
+    "real pairs and all that do not overlap": ("real", "strangers", "two ends"),
+    "real pairs, part of the source cut away": ("cut",),
+    "real pairs without colors": ("gray",),
+    "real pairs without viewpoints": ("blind",),
+}
+
+
+def draw(judged: list[Judged], path: Path) -> None:
+    """Share of right poses against stated probability, and how many poses each bin holds."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    edges = torch.tensor([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])
+    p = torch.tensor([case.probability for case in judged])
+    right = torch.tensor([case.right for case in judged]).double()
+    figure, (above, below) = pyplot.subplots(
+        2, 1, figsize=(5.2, 5.6), height_ratios=(3, 1), sharex=True, layout="constrained"
+    )
+    above.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="as stated")
+    for low, high in pairwise(edges):
+        inside = (p >= low) & ((p < high) | (high == 1))
+        count = int(inside.sum())
+        if count == 0:
+            continue
+        share = float(right[inside].mean())
+        spread = 1.96 * (max(share * (1 - share), 0.25 / count) / count) ** 0.5
+        bars = [[min(spread, share)], [min(spread, 1 - share)]]
+        above.errorbar(float(p[inside].mean()), share, yerr=bars, fmt="o", color="#0072b2", capsize=3)
+    above.set_ylabel("share that is right")
+    above.set_title("The verdict on scenes it was not fitted to", fontsize=11)
+    above.legend(frameon=False)
+    bins = torch.linspace(0, 1, 21).tolist()
+    groups = [p[right == 0].tolist(), p[right == 1].tolist()]
+    below.hist(groups, bins=bins, stacked=True, color=["#d55e00", "#009e73"], label=["wrong", "right"])
+    below.set_yscale("symlog", linthresh=10)
+    below.set_xlabel("stated probability")
+    below.set_ylabel("poses")
+    below.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", type=Path, help="a file for the candidates of all cases")
+    arguments = parser.parse_args()
+    if not REAL.exists():
+        raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
+    if arguments.keep and arguments.keep.exists():
+        seen = pickle.loads(arguments.keep.read_bytes())
+    else:
+        with ProcessPoolExecutor(WORKERS) as pool:
+            seen = [case for part in pool.map(share_of, range(WORKERS)) for case in part]
+        if arguments.keep:
+            arguments.keep.write_bytes(pickle.dumps(seen))
+    weights = fit(seen)
+    won = [case.terms[int((case.terms @ weights).argmax())] for case in seen if bool(case.right.any())]
+    typical = torch.stack(won).mean(dim=0)
+    for name, known in (("colors", "colored"), ("conflict", "seen")):  # over those that have any
+        place, flag = list(MODEL).index(name), list(MODEL).index(known)
+        typical[place] /= typical[flag]
+        typical[flag] = 1.0
+    judged = cross_validated(seen)
+    groups = {name: summary(judged, kinds) for name, kinds in GROUPS.items()}
+    facts = machine()
+    save(
+        "verdict",
+        {
+            "machine": facts,
+            "weights": dict(zip(MODEL, weights.tolist(), strict=True)),
+            "typical": dict(zip(MODEL, typical.tolist(), strict=True)),
+            "accepted": ACCEPTED,
+            "groups": groups,
+            "cases": [case._asdict() for case in judged],
+        },
+    )
+    draw(judged, ROOT / "docs" / "verdict.png")
+    for name, weight, mean in zip(MODEL, weights.tolist(), typical.tolist(), strict=True):
+        print(f'    "{name}": ({weight:.2f}, {mean:.2f}),')
+    head = ["pairs", "right", "of them refused", "wrong", "of them called a success"]
+    rows = [
+        [
+            name,
+            str(group["right"]),
+            str(group["right_refused"]),
+            str(group["wrong"]),
+            str(group["wrong_called_success"]),
+        ]
+        for name, group in groups.items()
+    ]
+    print(table(head, rows))
+    print(in_words(facts))
+    for case in judged:
+        if case.right != (case.probability >= ACCEPTED):
+            print(
+                "right, refused:" if case.right else "wrong, a success:",
+                case.kind,
+                case.name,
+                f"{case.probability:.2f}",
+            )
+
+
+if __name__ == "__main__":
+    main()

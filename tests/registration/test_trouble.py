@@ -1,0 +1,151 @@
+"""Scenes that mislead: registered when they can be, else refused by name."""
+
+import pytest
+import torch
+from determinism import same_bits, threads
+from scenes import FURNISHED, OTHER_ROOM, SYMMETRIC, boxes, moved_pair, scan, turned
+
+import torchreg as tr
+
+EFFORTS = ("fast", "balanced", "thorough")
+
+
+def name_of(reason):
+    return reason[0].split(":")[0]
+
+
+def close(result, T, degrees=1.0, meters=0.05):
+    pose = result.T_target_source
+    return float(tr.metrics.rre(T[None], pose)) < degrees and float(tr.metrics.rte(T[None], pose)) < meters
+
+
+@pytest.fixture(scope="module")
+def furnished():
+    return moved_pair(FURNISHED)
+
+
+@pytest.mark.parametrize("effort", EFFORTS)
+def test_a_furnished_room_is_found_and_trusted(furnished, effort):
+    source, target, T = furnished
+    result = tr.register(source, target, effort=effort)
+    assert result.reason == ("",)
+    assert close(result, T)
+    assert float(result.probability) > 0.6
+    assert float(result.overlap) > 0.9
+    assert float(result.strength) > 0.2
+    assert len(result.candidates[0]) >= 1
+    best = result.candidates[0][0]
+    assert torch.equal(best.T_target_source, result.T_target_source[0])
+    assert best.probability == float(result.probability)
+    if len(result.candidates[0]) > 1:
+        assert torch.equal(result.runner_up[0], result.candidates[0][1].T_target_source)
+        assert float(result.margin) == pytest.approx(best.log_odds - result.candidates[0][1].log_odds)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_symmetric_room_is_ambiguous(seed):
+    result = tr.register(*moved_pair(SYMMETRIC, seed=seed)[:2])
+    assert result.success.tolist() == [False]
+    assert name_of(result.reason) == "ambiguous"
+    R = result.runner_up[0, :3, :3].t() @ result.T_target_source[0, :3, :3]
+    assert float(torch.diagonal(R).sum()) == pytest.approx(-1.0, abs=0.01)  # a half turn apart
+
+
+def test_a_plane_slides():
+    g = torch.Generator().manual_seed(0)
+    T = turned(30.0, (1.0, 2.0, 3.0))
+
+    def sheet():
+        return torch.cat([torch.rand(9000, 2, generator=g) * 10 - 5, torch.zeros(9000, 1)], dim=1)
+
+    target, still = scan(sheet(), (0.0, 0.0, 3.0), g), scan(sheet(), (1.0, 0.0, 3.0), g)
+    result = tr.register(tr.transform(still, torch.linalg.inv(T)), target)
+    assert result.success.tolist() == [False]
+    assert name_of(result.reason) == "sliding"
+    assert float(result.strength) < 0.05
+
+
+def test_a_corridor_slides():
+    g = torch.Generator().manual_seed(0)
+    T = turned(30.0, (1.0, 2.0, 3.0))
+
+    def piece(low, high):
+        points = boxes((((0.0, 0.0, 1.25), (40.0, 2.0, 2.5)),), g)
+        return points[(points[:, 0] > low) & (points[:, 0] < high)]
+
+    target, still = scan(piece(-8, 8), (0.0, 0.0, 1.2), g), scan(piece(-5, 11), (3.0, 0.0, 1.2), g)
+    result = tr.register(tr.transform(still, torch.linalg.inv(T)), target)
+    assert result.success.tolist() == [False]
+    assert name_of(result.reason) == "sliding"
+
+
+@pytest.mark.parametrize("effort", EFFORTS)
+def test_two_different_rooms_are_no_success(effort):
+    source, target, _ = moved_pair(FURNISHED, OTHER_ROOM)
+    result = tr.register(source, target, effort=effort)
+    assert result.success.tolist() == [False]
+    assert ":" in result.reason[0]
+    assert float(result.probability) < 0.6
+
+
+def test_a_batch_equals_its_pairs_and_threads_change_nothing(furnished):
+    source, target, _ = furnished
+    other = moved_pair(SYMMETRIC)[:2]
+    batch = tr.Clouds.pack([source, other[0]]), tr.Clouds.pack([target, other[1]])
+    options = tr.derive_options(*batch)
+    together = tr.register(*batch, options)
+    for b, (one, two) in enumerate([(source, target), other]):
+        alone = tr.register(one, two, options[b])
+        for field in ("T_target_source", "probability", "overlap", "information", "strength", "margin", "fitness"):
+            assert same_bits(getattr(together, field)[b : b + 1], getattr(alone, field)), field
+        assert same_bits(together.runner_up[b].nan_to_num(), alone.runner_up[0].nan_to_num())
+        assert together.reason[b] == alone.reason[0]
+    with threads(1):
+        first = tr.register(source, target)
+    for number in (2, 3):
+        with threads(number):
+            again = tr.register(source, target)
+            assert same_bits(first, again, ignore=("seconds", "candidates"))
+            for one, two in zip(first.candidates[0], again.candidates[0], strict=True):
+                assert torch.equal(one.T_target_source, two.T_target_source)
+                assert str(one[2:]) == str(two[2:])  # as texts, in which NaN is NaN
+
+
+def test_effort_and_solver_override_the_options(furnished):
+    source, target, _ = furnished
+    options = tr.derive_options(source, target)[0]
+    plain = tr.register(source, target, options, effort="plain", solver="ransac")
+    assert plain.probability is None
+    assert plain.options[0].effort == "plain"
+    assert plain.options[0].solver == "ransac"
+    assert len(plain.stages[0].proposals) == 1
+    assert plain.stages[0].proposals[0].origin == "fpfh, ransac"
+    thorough = tr.register(source, target, options, effort="thorough")
+    assert len(thorough.stages[0].proposals) > 1
+
+
+@pytest.mark.parametrize(("name", "value"), [("effort", "heroic"), ("solver", "magic")])
+def test_unknown_names_are_refused(furnished, name, value):
+    with pytest.raises(ValueError, match=name):
+        tr.register(*furnished[:2], **{name: value})
+
+
+def test_every_pair_is_explained(furnished):
+    result = tr.register(*furnished[:2])
+    text = result.explain()
+    assert "fpfh, compatibility" in text
+    assert len(text.splitlines()) > 5
+    with pytest.raises(ValueError, match="pair"):
+        result.explain(1)
+
+
+def test_too_few_points_are_refused_beside_a_pair_that_is_found(furnished):
+    source, target, T = furnished
+    few = tr.Clouds(points=torch.rand(3, 3), viewpoint=torch.zeros(1, 3))
+    result = tr.register(tr.Clouds.pack([few, source]), tr.Clouds.pack([target, target]))
+    assert result.success.tolist() == [False, True]
+    assert result.reason[0].startswith("too few points")
+    assert result.probability.tolist()[0] == 0.0
+    assert result.candidates[0] == ()
+    assert torch.isnan(result.runner_up[0]).all()
+    assert close(tr.register(source, target), T)

@@ -1,0 +1,54 @@
+"""Probes are rigid, and as far away as they say."""
+
+import torch
+from problems import random_transform
+
+from torchreg.verification.information import slide
+from torchreg.verification.poses import Poses, distinct
+from torchreg.verification.probes import flips, slides
+
+G = torch.Generator().manual_seed(0)
+POINTS = torch.rand(500, 3, generator=G) * torch.tensor([6.0, 4.0, 3.0])
+NORMALS = torch.nn.functional.normalize(torch.randn(500, 3, generator=G), dim=1)
+
+
+def one_pose():
+    T = random_transform(torch.Generator().manual_seed(1)).double()
+    return Poses(T[None, :3, :3], T[None, :3, 3], torch.zeros(1, dtype=torch.int64))
+
+
+def assert_rigid(poses):
+    R = poses.rotation
+    eye = torch.eye(3, dtype=torch.float64).expand_as(R)
+    assert torch.allclose(R @ R.transpose(-1, -2), eye, atol=1e-9)
+    assert torch.allclose(torch.det(R), torch.ones(len(R), dtype=torch.float64), atol=1e-9)
+
+
+def test_slides_move_the_points_by_their_steps():
+    pose = one_pose()
+    placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
+    weakest = slide(placed, NORMALS @ pose.rotation[0].float().t())
+    found = slides(pose, weakest, 0.01)
+    assert_rigid(found)
+    moved = POINTS.double() @ found.rotation.transpose(1, 2) + found.translation[:, None]
+    apart = (moved - placed).square().sum(dim=-1).mean(dim=-1).sqrt()
+    assert torch.allclose(apart, torch.tensor([0.16, 0.08, 0.08, 0.16], dtype=torch.float64), rtol=0.02)
+
+
+def test_flips_are_half_turns_about_the_middle():
+    pose = one_pose()
+    placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
+    found = flips(pose, placed)
+    assert_rigid(found)
+    turns = found.rotation @ pose.rotation[0].t()
+    assert torch.allclose(torch.diagonal(turns, dim1=1, dim2=2).sum(dim=1), -torch.ones(3, dtype=torch.float64))
+    moved = POINTS.double() @ found.rotation.transpose(1, 2) + found.translation[:, None]
+    assert torch.allclose(moved.mean(dim=1), placed.mean(dim=0).expand(3, 3))
+
+
+def test_distinct_poses_keep_the_first_of_those_that_are_close():
+    pose = one_pose()
+    shifts = torch.tensor([0.0, 0.05, 1.0, 1.02, 0.01], dtype=torch.float64)
+    many = pose.take(torch.zeros(5, dtype=torch.int64))
+    many = many._replace(translation=many.translation + shifts[:, None] * torch.tensor([1.0, 0.0, 0.0]).double())
+    assert distinct(many, POINTS, 0.2).tolist() == [0, 2]

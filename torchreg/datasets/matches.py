@@ -1,0 +1,127 @@
+"""Correspondence problems with known truth: so many matches, so many of them wrong, in one of several ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.geometry.se3 import apply_rotation, rigid
+from torchreg.types import Clouds, Correspondences
+
+PLACES = ("cube", "room")
+
+_ROOM = (1.0, 0.7, 0.4)  # of the size
+_FURNITURE = ((0.1, 0.1, 0, 0.3, 0.1, 0.2), (0.7, 0.05, 0, 0.1, 0.3, 0.3), (0.4, 0.45, 0, 0.25, 0.15, 0.1))
+
+
+@dataclass(frozen=True, eq=False)
+class MatchProblem:
+    """One pair of clouds whose points are matched row by row, and what is true of the matches.
+
+    Attributes:
+        source: batch of one cloud, M points.
+        target: batch of one cloud, M points, in another order.
+        matches: M correspondences; ``score`` is smaller for right ones on average, with much overlap.
+        T_target_source: (1, 4, 4) float64, meters.
+        is_inlier: (M,) bool.
+    """
+
+    source: Clouds
+    target: Clouds
+    matches: Correspondences
+    T_target_source: Tensor
+    is_inlier: Tensor
+
+
+def match_problem(
+    count: int,
+    outlier_ratio: float,
+    *,
+    place: str = "cube",
+    size: float = 10.0,
+    noise: float = 0.02,
+    rival: float = 0.0,
+    seed: int = 0,
+    dtype: torch.dtype = torch.float64,
+) -> MatchProblem:
+    """Draw a problem.
+
+    Args:
+        count: correspondences, M.
+        outlier_ratio: share of wrong ones.
+        place: ``"cube"``: points anywhere in a cube. ``"room"``: on the walls and the furniture of a room, so that
+            wrong matches agree by chance as those of scans do.
+        size: meters, the edge of the cube or the length of the room.
+        noise: meters, standard deviation per coordinate of right targets.
+        rival: share of all matches, taken from the wrong ones, that agree on another motion: the true one after
+            half a turn about the vertical through the middle.
+        seed: of the draw.
+        dtype: of the points.
+
+    Returns:
+        MatchProblem.
+
+    Raises:
+        ValueError: an argument out of range, or more rivals than wrong matches.
+
+    Example:
+        >>> from torchreg.datasets import match_problem
+        >>> int(match_problem(1000, 0.95).is_inlier.sum())
+        50
+    """
+    at_least(count, "count", 1)
+    fraction(outlier_ratio, "outlier_ratio", zero=True)
+    fraction(rival, "rival", zero=True)
+    one_of(place, "place", PLACES)
+    positive(size, "size")
+    wrong, rivals = round(outlier_ratio * count), round(rival * count)
+    expect(rivals <= wrong, "rival", f"at most the share of wrong matches, {outlier_ratio}", rival)
+    generator = torch.Generator().manual_seed(seed)
+    draw = _in_cube if place == "cube" else _in_room
+    p = size * draw(count, generator)
+    T = rigid(_rotation(generator), 5 * torch.randn(3, dtype=torch.float64, generator=generator))
+    order = torch.randperm(count, generator=generator)
+    world = p + noise * torch.randn(count, 3, dtype=torch.float64, generator=generator)
+    world[order[:wrong]] = size * draw(wrong, generator)
+    middle = size * torch.tensor([0.5, 0.5 * (1 if place == "cube" else _ROOM[1]), 0], dtype=torch.float64)
+    turned = (p - middle) * torch.tensor([-1.0, -1, 1], dtype=torch.float64) + middle
+    world[order[:rivals]] = turned[order[:rivals]]
+    is_inlier = torch.ones(count, dtype=torch.bool)
+    is_inlier[order[:wrong]] = False
+    score = torch.rand(count, generator=generator) + 0.3 * (~is_inlier).float()
+    target = torch.empty_like(p)
+    rows = torch.randperm(count, generator=generator)
+    target[rows] = apply_rotation(T[:3, :3], world) + T[:3, 3]
+    matches = Correspondences(torch.arange(count), rows, torch.tensor([0, count]), score)
+    return MatchProblem(Clouds(points=p.to(dtype)), Clouds(points=target.to(dtype)), matches, T[None], is_inlier)
+
+
+def _in_cube(count: int, generator: torch.Generator) -> Tensor:
+    return torch.rand(count, 3, dtype=torch.float64, generator=generator)
+
+
+def _in_room(count: int, generator: torch.Generator) -> Tensor:
+    """Points (M, 3) on the faces of boxes, even by area."""
+    boxes = torch.tensor([(0, 0, 0, *_ROOM), *_FURNITURE], dtype=torch.float64)
+    low, edge = boxes[:, :3], boxes[:, 3:]
+    area = torch.stack([edge[:, 1] * edge[:, 2], edge[:, 2] * edge[:, 0], edge[:, 0] * edge[:, 1]], dim=1)  # (B, 3)
+    face = torch.multinomial(area.flatten(), max(1, count), replacement=True, generator=generator)[:count]
+    box, axis = face // 3, face % 3
+    where = torch.rand(count, 3, dtype=torch.float64, generator=generator)
+    side = (torch.rand(count, generator=generator) < 0.5).double()
+    where.scatter_(1, axis[:, None], side[:, None])
+    return low[box] + where * edge[box]
+
+
+def _rotation(generator: torch.Generator) -> Tensor:
+    """A rotation (3, 3) float64, uniform over SO(3), from a random unit quaternion."""
+    w, x, y, z = torch.nn.functional.normalize(torch.randn(4, dtype=torch.float64, generator=generator), dim=0).tolist()
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.tensor(rows, dtype=torch.float64)

@@ -1,0 +1,96 @@
+"""Which features and solvers a registration tries: one recipe as the options say, or several that compete.
+
+What one set of features blurs another may tell apart, so the poses of several sets are candidates together
+(``torchreg.verification`` chooses among them). The sets share their descriptors: each is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+
+from torchreg.compatibility import compatibility_poses
+from torchreg.hypotheses import PairPoses, base_seed
+from torchreg.matching import match_mutual
+from torchreg.ransac import ransac_poses
+from torchreg.registration.describe import Described, fused
+from torchreg.types import Clouds, CompatibilityOptions, Correspondences, RegistrationOptions
+
+NODES = {"plain": 2000, "fast": 1000, "balanced": 1000, "thorough": 2000}
+"""Correspondences that the compatibility solver compares with one another, by effort."""
+
+_FURTHER_SETS = ((("contrast",), (0.8,)), (("pcfh",), (0.5,)))
+
+
+class Recipe(NamedTuple):
+    """One way from descriptors to poses.
+
+    Attributes:
+        color: blocks beside FPFH.
+        weights: of these blocks, FPFH's being 1.
+        neighbors: nearest rows that may match.
+        solver: ``"ransac"`` or ``"compatibility"``.
+    """
+
+    color: tuple[str, ...]
+    weights: tuple[float, ...]
+    neighbors: int
+    solver: str
+
+    @property
+    def words(self) -> str:
+        """The recipe's name, such as "fpfh + contrast, 2 nearest, compatibility"."""
+        several = f", {self.neighbors} nearest" if self.neighbors > 1 else ""
+        return " + ".join(("fpfh", *self.color)) + f"{several}, {self.solver}"
+
+
+def recipes_of(options: RegistrationOptions, colored: bool) -> tuple[Recipe, ...]:
+    """What to try, the options' own recipe first; without colors the geometry alone."""
+    color, weights = (options.color, options.color_weights) if colored else ((), ())
+    own = Recipe(color, weights, options.match_neighbors, options.solver)
+    geometry = own._replace(color=(), weights=())
+    if options.effort in ("plain", "fast"):
+        return (own,)
+    if options.effort == "balanced":
+        return tuple(dict.fromkeys((own, geometry)))
+    several = own.neighbors if options.ratio is not None else max(own.neighbors, 2)
+    sets = dict.fromkeys([own[:2], geometry[:2], *(_FURTHER_SETS if color else ())])
+    tried = [
+        Recipe(names, shares, neighbors, solver)
+        for names, shares in sets
+        for neighbors, solver in ((several, "compatibility"), (own.neighbors, "ransac"))
+    ]
+    return tuple(dict.fromkeys((own, *tried)))
+
+
+def blocks_of(recipes: Sequence[Recipe]) -> tuple[str, ...]:
+    """The color blocks that some recipe needs."""
+    return tuple(dict.fromkeys(name for recipe in recipes for name in recipe.color))
+
+
+def match(source: Described, target: Described, recipe: Recipe, ratio: float | None) -> Correspondences:
+    """Mutual matches of one recipe's features."""
+    one, other = (fused(side, recipe.color, recipe.weights) for side in (source, target))
+    return match_mutual(one, other, ratio=ratio, neighbors=recipe.neighbors)
+
+
+def solve(
+    source: Clouds,
+    target: Clouds,
+    matches: Correspondences,
+    recipe: Recipe,
+    options: Sequence[RegistrationOptions],
+    seed: int,
+) -> list[PairPoses]:
+    """Distinct poses of every pair by one recipe's solver."""
+    if recipe.solver == "ransac":
+        drawn = base_seed(torch.Generator().manual_seed(seed))
+        return ransac_poses(source, target, matches, [option.ransac for option in options], drawn)
+    thresholds = [option.ransac.inlier_threshold for option in options]
+    rounds = options[0].ransac.local_optimization
+    shared = CompatibilityOptions(nodes=NODES[options[0].effort], local_optimization=rounds)
+    per_pair = [replace(shared, inlier_threshold=threshold) for threshold in thresholds]
+    return compatibility_poses(source, target, matches, per_pair)

@@ -1,0 +1,79 @@
+"""What was in the running: the poses that solvers proposed, and what each stage had and lost."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class Candidate(NamedTuple):
+    """One pose that was weighed on the clouds. Numbers that nothing speaks of are NaN.
+
+    Attributes:
+        origin: what proposed it, such as "fpfh + contrast, compatibility" or "slide" for a probe of the verdict.
+        T_target_source: (4, 4) float64, meters, origins included.
+        support: matches that it brings within the inlier threshold, of the proposal that speaks loudest for it.
+        matches: how many matches that proposal had.
+        surprise: -log10 of the probability that as many unrelated matches agree.
+        overlap: share of points with a partner nearer than the threshold, mean over both directions.
+        closeness: mean over those partners of 1 - (distance / threshold)^2.
+        normals: mean cosine between the normals of partners.
+        colors: correlation of the colors of partners.
+        strength: in [0, 1], how evenly the surfaces of partners hold the pose; near 0 it slides.
+        conflict: of the points that stand at or before a surface that the other scanner saw, the share before it.
+        log_odds: of being right against no candidate being right (natural logarithm).
+        probability: of being right, among all candidates of the pair.
+    """
+
+    origin: str
+    T_target_source: Tensor
+    support: int
+    matches: int
+    surprise: float
+    overlap: float
+    closeness: float
+    normals: float
+    colors: float
+    strength: float
+    conflict: float
+    log_odds: float
+    probability: float
+
+
+class Proposal(NamedTuple):
+    """What one set of features and one solver had.
+
+    Attributes:
+        origin: features and solver in words, as in ``Candidate.origin``.
+        matches: correspondences.
+        drawn: hypotheses (RANSAC: samples; compatibility: seeds).
+        kept: of those, how many passed the first test.
+        scored: how many were scored on all matches.
+        poses: distinct poses handed on.
+        support: inliers of the best of them.
+    """
+
+    origin: str
+    matches: int
+    drawn: int
+    kept: int
+    scored: int
+    poses: int
+    support: int
+
+
+class StageCounts(NamedTuple):
+    """What each stage of one pair had, (source, target) where there are two numbers.
+
+    Attributes:
+        given: points as they came.
+        points: points after downsampling.
+        described: points with a valid feature, of the first set of features.
+        proposals: of every set of features and solver.
+    """
+
+    given: tuple[int, int]
+    points: tuple[int, int]
+    described: tuple[int, int]
+    proposals: tuple[Proposal, ...]

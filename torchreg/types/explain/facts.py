@@ -1,0 +1,142 @@
+"""The figures of one pair, taken out of a result once, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+from torchreg.errors import expect
+from torchreg.types.packing import spans
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from torchreg.types.candidate import Candidate, StageCounts
+    from torchreg.types.options import RegistrationOptions
+    from torchreg.types.result import RegistrationResult
+
+
+class Facts(NamedTuple):
+    """One pair; ``None`` where the result does not say, or no pose was found that it could speak of.
+
+    Attributes:
+        success: the verdict.
+        reason: why not, or an empty text.
+        notes: on the pair.
+        options: that it was run with.
+        stages: what each stage had.
+        matches: correspondences that ``inliers`` speaks of.
+        inliers: of these.
+        drawn: hypotheses.
+        kept: of these, by the first test.
+        scored: of these.
+        fitness: share of source points near the target.
+        inlier_rmse: meters.
+        probability: of being right.
+        overlap: mean over both directions.
+        strength: in [0, 1].
+        margin: log-odds over the runner-up, infinite where there is none.
+        apart: degrees and meters between the pose and its runner-up.
+        candidates: best first.
+    """
+
+    success: bool
+    reason: str
+    notes: tuple[str, ...]
+    options: RegistrationOptions | None
+    stages: StageCounts | None
+    matches: int
+    inliers: int
+    drawn: int
+    kept: int
+    scored: int
+    fitness: float
+    inlier_rmse: float
+    probability: float | None
+    overlap: float | None
+    strength: float | None
+    margin: float | None
+    apart: tuple[float, float] | None
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def kind(self) -> str:
+        """The name of the reason: what stands before its colon."""
+        return self.reason.partition(":")[0].strip()
+
+    @property
+    def threshold(self) -> float | None:
+        """The inlier threshold, meters."""
+        return None if self.options is None else self.options.ransac.inlier_threshold
+
+
+def facts_of(result: RegistrationResult, pair: int) -> Facts:
+    """The figures of one pair.
+
+    Raises:
+        ValueError: ``pair`` is not one of the result's.
+    """
+    expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
+    begin, end = spans(result.correspondences.offsets)[pair]
+    counts = [int(value[pair]) for value in result.hypotheses]
+    candidates = result.candidates[pair] if result.candidates else ()
+    posed = not result.candidates or len(candidates) > 0
+    return Facts(
+        success=bool(result.success[pair]),
+        reason=result.reason[pair],
+        notes=result.notes[pair] if result.notes else (),
+        options=result.options[pair] if result.options else None,
+        stages=result.stages[pair] if result.stages else None,
+        matches=end - begin,
+        inliers=int(result.inliers[begin:end].sum()),
+        drawn=counts[0],
+        kept=counts[1],
+        scored=counts[2],
+        fitness=float(result.fitness[pair]),
+        inlier_rmse=float(result.inlier_rmse[pair]),
+        probability=_stated(result.probability, pair),
+        overlap=_stated(result.overlap, pair) if posed else None,
+        strength=_stated(result.strength, pair) if posed else None,
+        margin=_stated(result.margin, pair) if posed else None,
+        apart=_apart(result, pair, candidates) if posed else None,
+        candidates=candidates,
+    )
+
+
+def _stated(values: Tensor | None, pair: int) -> float | None:
+    value = math.nan if values is None else float(values[pair])
+    return None if math.isnan(value) else value
+
+
+def _apart(result: RegistrationResult, pair: int, candidates: tuple[Candidate, ...]) -> tuple[float, float] | None:
+    """Degrees between the pose and its runner-up, and meters by which they part the middle of the overlap.
+
+    The middle is that of the target points with a partner, which the information matrix holds; translations
+    alone would say nothing of clouds far from their zero. A failed pair's pose is its best candidate.
+    """
+    if result.runner_up is None or not (bool(result.success[pair]) or candidates):
+        return None
+    other = result.runner_up[pair].detach().cpu()
+    pose = result.T_target_source[pair] if bool(result.success[pair]) else candidates[0].T_target_source
+    pose = pose.detach().cpu()
+    turn = (other[:3, :3] @ pose[:3, :3].T).tolist()
+    if not all(math.isfinite(value) for row in turn for value in row):
+        return None
+    axis = math.hypot(turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
+    degrees = math.degrees(math.atan2(axis, turn[0][0] + turn[1][1] + turn[2][2] - 1))
+    middle = _middle(result, pair)
+    if middle is None:
+        return degrees, float((other[:3, 3] - pose[:3, 3]).norm())
+    x, y, z = middle
+    at = pose.new_tensor([x, y, z])  # (3,) in the target's frame
+    moved = (other[:3, :3] @ (pose[:3, :3].T @ (at - pose[:3, 3]))) + other[:3, 3]
+    return degrees, float((moved - at).norm())
+
+
+def _middle(result: RegistrationResult, pair: int) -> tuple[float, float, float] | None:
+    """The mean of the target points that the information matrix sums: its off-diagonal block is their sum as [s]x."""
+    if result.information is None:
+        return None
+    rows = result.information[pair].tolist()
+    count = rows[3][3]
+    return (rows[2][4] / count, rows[0][5] / count, rows[1][3] / count) if count > 0 else None

@@ -1,0 +1,6 @@
+"""Which candidate pose is right, if any: asked of the clouds themselves, answered with a probability."""
+
+from torchreg.verification.collect import Proposed
+from torchreg.verification.verify import Care, Lengths, proposals_of, verify
+
+__all__ = ["Care", "Lengths", "Proposed", "proposals_of", "verify"]
