@@ -1,6 +1,6 @@
 """Peak memory of a registration of 100,000 points a cloud, and the time that importing takes.
 
-    python bench/footprint.py             writes bench/results/footprint.json and the lines in README.md
+python bench/footprint.py             writes bench/results/footprint.json and the lines in README.md
 """
 
 from __future__ import annotations
