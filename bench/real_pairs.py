@@ -66,8 +66,17 @@ def open3d(source: tr.Clouds, target: tr.Clouds, voxel: float) -> tr.Registratio
     return tr.reference.open3d.register(source, target, scaled_options(voxel, colored=False))
 
 
+def open3d_all(source: tr.Clouds, target: tr.Clouds, voxel: float) -> tr.RegistrationResult:
+    """Without an early end: all 600,000 hypotheses."""
+    options = scaled_options(voxel, colored=False)
+    return tr.reference.open3d.register(
+        source, target, replace(options, ransac=replace(options.ransac, confidence=1.0))
+    )
+
+
 METHODS: dict[str, Method] = {
     "Open3D FPFH + RANSAC": open3d,
+    "Open3D, confidence 1": open3d_all,
     "torchreg, FPFH alone": fpfh_alone,
     "torchreg, paper's rule (44)": paper_rule,
     "torchreg, fast": with_effort("fast"),

@@ -14,9 +14,9 @@ from torchreg.types.packing import spans
 from torchreg.verification import Care, Lengths, Proposed, proposals_of, verify
 
 CARE = {
-    "fast": Care(poses=6, sample=600, refined=1),
-    "balanced": Care(poses=10, sample=1000, refined=3),
-    "thorough": Care(poses=16, sample=1500, refined=8),
+    "fast": Care(poses=6, sample=600, refined=1, iterations=5),
+    "balanced": Care(poses=10, sample=1000, refined=3, iterations=10),
+    "thorough": Care(poses=16, sample=1500, refined=8, iterations=20),
 }
 """How closely candidates are looked at, by effort."""
 

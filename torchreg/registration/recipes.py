@@ -25,6 +25,12 @@ NODES = {"plain": 2000, "fast": 1000, "balanced": 1000, "thorough": 2000}
 _FURTHER_SETS = ((("contrast",), (0.8,)), (("pcfh",), (0.5,)))
 
 
+COARSER = 1.5
+"""By how much ``effort="fast"`` widens the spacing of the points."""
+
+_THRESHOLD_SPACINGS = 1.5  # the default inlier threshold, in spacings
+
+
 class Recipe(NamedTuple):
     """One way from descriptors to poses.
 
@@ -45,6 +51,20 @@ class Recipe(NamedTuple):
         """The recipe's name, such as "fpfh + contrast, 2 nearest, compatibility"."""
         several = f", {self.neighbors} nearest" if self.neighbors > 1 else ""
         return " + ".join(("fpfh", *self.color)) + f"{several}, {self.solver}"
+
+
+def coarser(options: RegistrationOptions) -> RegistrationOptions:
+    """The options on points ``COARSER`` times as far apart: every length grows, and voxels thin the clouds."""
+    voxel = max(options.voxel_size or 0.0, options.ransac.inlier_threshold / _THRESHOLD_SPACINGS)
+    threshold = COARSER * options.ransac.inlier_threshold
+    return replace(
+        options,
+        voxel_size=COARSER * voxel,
+        normal_radius=COARSER * options.normal_radius,
+        feature_radius=COARSER * options.feature_radius,
+        color_radius=COARSER * options.color_radius,
+        ransac=replace(options.ransac, inlier_threshold=threshold),
+    )
 
 
 def recipes_of(options: RegistrationOptions, colored: bool) -> tuple[Recipe, ...]:

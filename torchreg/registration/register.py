@@ -9,7 +9,7 @@ from torchreg.errors import expect
 from torchreg.registration.decide import decide, stage_counts
 from torchreg.registration.describe import color_of_pairs, describe, downsample, oriented, without_lengths
 from torchreg.registration.inspect import notes_on, refuse, set_aside
-from torchreg.registration.recipes import blocks_of, match, recipes_of, solve
+from torchreg.registration.recipes import blocks_of, coarser, match, recipes_of, solve
 from torchreg.registration.scale import derive_options
 from torchreg.registration.stopwatch import Stopwatch
 from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
@@ -115,6 +115,7 @@ def _options_of_pairs(
         per_pair = tuple(replace(option, effort=effort) for option in per_pair)
     if solver is not None:
         per_pair = tuple(replace(option, solver=solver) for option in per_pair)
+    per_pair = tuple(coarser(option) if option.effort == "fast" else option for option in per_pair)
     for option in per_pair[1:]:
         alike = without_lengths(option) == without_lengths(per_pair[0])
         expect(alike, "options", "options that differ in lengths only within one batch", option)

@@ -21,7 +21,6 @@ APART = 6.0
 
 _HOPELESS = 5.0  # log-odds below the best at which a probe is not worth refining
 _ICP_POINTS = 600
-_ICP_ITERATIONS = 12
 
 
 class Chosen(NamedTuple):
@@ -40,16 +39,17 @@ class Chosen(NamedTuple):
     slide: Slide
 
 
-def choose(scales: Scales, poses: Poses, refine: int) -> Chosen:
+def choose(scales: Scales, poses: Poses, refine: int, iterations: int) -> Chosen:
     """Choose among the poses (H > 0) of one pair.
 
     Args:
         scales: what they are weighed on.
         poses: in order of their proposals, best first within each.
         refine: how many distinct ones are refined by ICP.
+        iterations: of ICP, at most.
     """
     found = _sorted_out(scales, weigh(scales, poses))
-    refined = _refined(scales, found.take(torch.arange(min(refine, len(found.odds)))))
+    refined = _refined(scales, found.take(torch.arange(min(refine, len(found.odds)))), iterations)
     found = _sorted_out(scales, weighed_together([refined, found]))
     information, weakest = _hold(scales, found)
     best = found.poses.take(torch.zeros(1, dtype=torch.int64, device=found.odds.device))
@@ -57,7 +57,7 @@ def choose(scales: Scales, poses: Poses, refine: int) -> Chosen:
     probes = weigh(scales, joined([slides(best, weakest, scales.threshold), flips(best, others)]))
     worth = (probes.odds > found.odds[0] - _HOPELESS).nonzero()[:, 0]
     if len(worth) > 0:
-        found = _sorted_out(scales, weighed_together([found, _refined(scales, probes.take(worth))]))
+        found = _sorted_out(scales, weighed_together([found, _refined(scales, probes.take(worth), iterations)]))
         information, weakest = _hold(scales, found)
     return Chosen(found, probabilities(found.odds), information, weakest)
 
@@ -79,7 +79,7 @@ def _sorted_out(scales: Scales, found: Weighed) -> Weighed:
     return best._replace(poses=best.poses._replace(origin=torch.stack(names)))
 
 
-def _refined(scales: Scales, found: Weighed) -> Weighed:
+def _refined(scales: Scales, found: Weighed, iterations: int) -> Weighed:
     """The poses after ICP, each as it was where that speaks less for it."""
     count = len(found.odds)
     source, target = scales.source, scales.target
@@ -87,7 +87,7 @@ def _refined(scales: Scales, found: Weighed) -> Weighed:
     rows = rows * len(source.points) // len(rows)
     moving = Clouds(points=source.points[rows])
     fixed = Clouds(points=target.points, normals=target.normals)
-    options = IcpOptions(kind="point_to_plane", max_distance=scales.threshold, iterations=_ICP_ITERATIONS)
+    options = IcpOptions(kind="point_to_plane", max_distance=scales.threshold, iterations=iterations)
     tried = icp(moving.select([0] * count), fixed.select([0] * count), found.poses.matrices(), options)
     after = weigh(scales, found.poses.moved(tried.T_target_source))
     better = after.odds > found.odds

@@ -39,11 +39,13 @@ class Care(NamedTuple):
         poses: of every proposal, at most.
         sample: points of each scan that are looked at.
         refined: distinct candidates that ICP refines.
+        iterations: of ICP at most.
     """
 
     poses: int
     sample: int
     refined: int
+    iterations: int
 
 
 class Lengths(NamedTuple):
@@ -110,7 +112,7 @@ def _judge(
         Poses(pair.rotation, pair.translation, torch.full_like(pair.support, number)).take(slice(care.poses))
         for number, pair in enumerate(part.poses[b] for part in proposed)
     ]
-    chosen = choose(scales, joined(parts), care.refined)
+    chosen = choose(scales, joined(parts), care.refined, care.iterations)
     best = chosen.candidates
     R, t = best.poses.rotation[0], best.poses.translation[0]
     near = coverage(one.points, other.points, R, t, lengths.threshold)
