@@ -1,6 +1,6 @@
 """How many wrong matches a solver bears: success and time over the outlier ratio, on problems of known truth.
 
-Run as ``python bench/outliers.py``; writes bench/results/outliers.json and docs/outliers.png and prints a table.
+Run as ``python bench/outliers.py``; writes bench/results/outliers.json, docs/outliers.png and the tables in README.md.
 The problems: points on the walls and the furniture of a room of 10 m, wrong matches between any two of them, noise
 of a third of the inlier threshold per coordinate. Every solver gets the same matches and the same threshold, and no
 descriptor. A problem is solved when the matched points are within the threshold of where the truth puts them, root
@@ -18,6 +18,7 @@ import common
 import numpy as np
 import torch
 from outliers_figure import draw
+from readme import put_into_readme
 from torch import Tensor
 
 import torchreg as tr
@@ -141,16 +142,18 @@ def main() -> None:
         {"machine": machine, "threshold_m": THRESHOLD, "left_out": left_out, "cells": cells},
     )
     draw(cells, common.ROOT / "docs" / "outliers.png")
+    tables = []
     for count in COUNTS:
-        print(f"\n{count} matches: solved of problems, median seconds\n")
         rows = [
             [name, *(said(cell) for cell in cells if cell["matches"] == count and cell["solver"] == name)]
             for name in by_name
         ]
-        print(common.table(["outliers", *(f"{100 * ratio:g} %" for ratio in RATIOS)], rows))
-    print("\n" + common.in_words(machine))
-    for name, why in left_out.items():
-        print(f"{name}: {why}")
+        head = [f"{count:,} matches, wrong ones", *(f"{100 * ratio:g} %" for ratio in RATIOS)]
+        tables.append(common.table(head, rows))
+    absent = "".join(f" {name}: {why}." for name, why in left_out.items())
+    text = "\n\n".join([*tables, f"{common.in_words(machine)}.{absent}"])
+    print(text)
+    put_into_readme("outliers", text)
 
 
 def said(cell: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ Every case of ``cases.py`` is registered with effort "balanced". The weights of 
 those of a conditional logit over the candidates of every case, by maximum likelihood, held by a ridge to weights that
 were set by hand. For the figures a scene is left out in turn: the weights are fitted to the cases that have nothing to
 do with it and judged on the rest.
-Written: bench/results/verdict.json, docs/verdict.png.
+Written: bench/results/verdict.json, docs/verdict.png and the table in README.md.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import torch
 from cases import Case, cases
 from common import REAL, ROOT, in_words, machine, save, table
+from readme import put_into_readme
 from torch import Tensor
 
 import torchreg as tr
@@ -29,7 +30,7 @@ from torchreg import metrics
 from torchreg.registration.scale import scaled_options
 from torchreg.verification.evidence import Evidence
 from torchreg.verification.model import MODEL, PRIOR, probabilities, terms
-from torchreg.verification.reasons import ACCEPTED
+from torchreg.verification.reasons import ACCEPTED, MARGIN, accepted
 
 RIDGE = 10.0
 ROTATION_BOUND, TRANSLATION_VOXELS = 15.0, 6.0
@@ -97,21 +98,22 @@ def fit(seen: list[Seen]) -> Tensor:
 
 
 class Judged(NamedTuple):
-    """One case under weights: the winner's probability, and whether it is right."""
+    """One case under weights: the winner's probability, whether it is right, and whether it is called a success."""
 
     name: str
     kind: str
     scenes: tuple[str, ...]
     probability: float
     right: bool
+    success: bool
 
 
 def judge(case: Seen, weights: Tensor) -> Judged:
     if len(case.terms) == 0:
-        return Judged(*case[:3], 0.0, False)
-    odds = case.terms @ weights
-    best = int(odds.argmax())
-    return Judged(*case[:3], float(probabilities(odds)[best]), bool(case.right[best]))
+        return Judged(*case[:3], 0.0, False, False)
+    odds, order = (case.terms @ weights).sort(descending=True)
+    probability = float(probabilities(odds)[0])
+    return Judged(*case[:3], probability, bool(case.right[order[0]]), accepted(probability, odds))
 
 
 def cross_validated(seen: list[Seen]) -> list[Judged]:
@@ -129,9 +131,9 @@ def summary(judged: list[Judged], kinds: tuple[str, ...]) -> dict[str, Any]:
     return {
         "cases": len(chosen),
         "right": len(right),
-        "right_refused": sum(case.probability < ACCEPTED for case in right),
+        "right_refused": sum(not case.success for case in right),
         "wrong": len(wrong),
-        "wrong_called_success": sum(case.probability >= ACCEPTED for case in wrong),
+        "wrong_called_success": sum(case.success for case in wrong),
     }
 
 
@@ -211,7 +213,8 @@ def main() -> None:
             "machine": facts,
             "weights": dict(zip(MODEL, weights.tolist(), strict=True)),
             "typical": dict(zip(MODEL, typical.tolist(), strict=True)),
-            "accepted": ACCEPTED,
+            "least_probability": ACCEPTED,
+            "least_margin": MARGIN,
             "groups": groups,
             "cases": [case._asdict() for case in judged],
         },
@@ -230,10 +233,11 @@ def main() -> None:
         ]
         for name, group in groups.items()
     ]
-    print(table(head, rows))
-    print(in_words(facts))
+    text = f"{table(head, rows)}\n\n{in_words(facts)}."
+    print(text)
+    put_into_readme("verdict", text)
     for case in judged:
-        if case.right != (case.probability >= ACCEPTED):
+        if case.right != case.success:
             print(
                 "right, refused:" if case.right else "wrong, a success:",
                 case.kind,

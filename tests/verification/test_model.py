@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from torchreg.verification.evidence import Evidence
 from torchreg.verification.model import MODEL, PRIOR, log_odds, probabilities, terms
+from torchreg.verification.reasons import accepted
 
 odds = st.lists(st.floats(-700, 700), min_size=1, max_size=20)
 
@@ -74,3 +75,11 @@ def test_every_term_has_a_name_a_weight_and_a_typical_value():
     width = terms(seen, torch.zeros(1, dtype=torch.float64)).shape[1]
     assert width == len(MODEL)
     assert list(MODEL) == list(PRIOR)
+
+
+@pytest.mark.parametrize(
+    ("probability", "odds", "expected"),
+    [(0.9, [3.0], True), (0.9, [3.0, 0.5], True), (0.9, [3.0, 2.5], False), (0.5, [0.1], False)],
+)
+def test_a_success_is_probable_and_ahead_of_its_runner_up(probability, odds, expected):
+    assert accepted(probability, torch.tensor(odds, dtype=torch.float64)) is expected

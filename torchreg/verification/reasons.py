@@ -11,11 +11,19 @@ from torchreg.verification.model import MODEL, probability_alone, terms
 ACCEPTED = 0.6
 """The least probability of a success."""
 
+MARGIN = 1.0
+"""The least log-odds of a success over its runner-up: about e to one."""
+
 FIRM = 0.1
 """Strength below which a refused pose is said to slide; right poses of real pairs have 0.1 and more."""
 
 _LAID_ON = 0.3  # overlap from which surfaces lie on each other, so that sliding is what is left to blame
 _RIVAL = 0.05  # a rival with this share of the probability is named
+
+
+def accepted(probability: float, odds: Tensor) -> bool:
+    """Whether a best candidate of this probability is a success; ``odds`` (H,) of all candidates, best first."""
+    return probability >= ACCEPTED and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
 
 
 def refusal(chosen: Chosen, apart: str) -> str:
@@ -25,11 +33,12 @@ def refusal(chosen: Chosen, apart: str) -> str:
         chosen: the candidates of one pair.
         apart: how far the runner-up is, in words.
     """
-    probability = float(chosen.probability[0])
-    if probability >= ACCEPTED:
+    best, probability = chosen.candidates, float(chosen.probability[0])
+    if accepted(probability, best.odds):
         return ""
     held = f"probability {probability:.2f} of being right, {ACCEPTED:g} is needed"
-    best = chosen.candidates
+    if probability >= ACCEPTED:
+        held = f"log-odds {float(best.odds[0] - best.odds[1]):.2f} above it, {MARGIN:g} are needed"
     if chosen.slide.strength < FIRM and float(best.evidence.overlap[0]) >= _LAID_ON:
         others = f"; {apart}, they agree nearly as well" if apart else ""
         return f"sliding: the surfaces leave a motion open (strength {chosen.slide.strength:.3f}){others} ({held})"
