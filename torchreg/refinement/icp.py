@@ -81,10 +81,16 @@ def icp(
     def run(members: list[int]) -> tuple[Tensor, State]:
         return _refine(source.select(members), target.select(members), T[members], [chosen[b] for b in members])
 
-    with ThreadPoolExecutor(max_workers=_workers(source)) as pool:
-        for members, (moved, part) in zip(groups, pool.map(run, groups), strict=True):
-            found[members] = moved
-            write(state, members, part)
+    workers, threads = _workers(source), torch.get_num_threads()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            if workers > 1:  # each takes its operations one by one: threads within threads would wait for cores
+                torch.set_num_threads(1)
+            for members, (moved, part) in zip(groups, pool.map(run, groups), strict=True):
+                found[members] = moved
+                write(state, members, part)
+        finally:
+            torch.set_num_threads(threads)
     return IcpResult(
         T_target_source=found,
         fitness=state.fitness,

@@ -14,11 +14,11 @@ from torchreg.types.packing import spans
 from torchreg.verification import Care, Lengths, Proposed, proposals_of, verify
 
 CARE = {
-    "fast": Care(poses=6, sample=600, refined=1, iterations=5),
+    "fast": Care(poses=6, sample=600, refined=1, iterations=5, accepted=0.75),
     "balanced": Care(poses=10, sample=1000, refined=3, iterations=10),
     "thorough": Care(poses=16, sample=1500, refined=8, iterations=20),
 }
-"""How closely candidates are looked at, by effort."""
+"""How closely candidates are looked at, by effort; points far apart tell less, so that fast asks for more."""
 
 _SPACING_NEIGHBOR = 4
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_device
 from torchreg.registration.decide import decide, stage_counts
 from torchreg.registration.describe import color_of_pairs, describe, downsample, oriented, without_lengths
-from torchreg.registration.inspect import notes_on, refuse, set_aside
+from torchreg.registration.inspect import notes_on, refuse, set_aside, too_wide
 from torchreg.registration.recipes import blocks_of, coarser, match, recipes_of, solve
 from torchreg.registration.scale import derive_options
 from torchreg.registration.stopwatch import Stopwatch
@@ -58,10 +58,15 @@ def register(
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     expect(len(source) > 0, "source", "at least one cloud", len(source))
+    expect_device(target.points, "target", source.device)
+    expect(target.points.dtype == source.points.dtype, "target", f"points in {source.points.dtype}", target.points)
     watch = Stopwatch()
+    source, target = source.detach(), target.detach()
     given, refused = (source, target), refuse(source, target)
     source, target = set_aside(source, refused), set_aside(target, refused)
     per_pair = _options_of_pairs(source, target, options, effort, solver)
+    refused = [early or late for early, late in zip(refused, too_wide(source, target, per_pair), strict=True)]
+    source, target = set_aside(source, refused), set_aside(target, refused)
     recipes = recipes_of(per_pair[0], source.colors is not None and target.colors is not None)
     watch.lap("options")
 
@@ -112,11 +117,16 @@ def _options_of_pairs(
         per_pair = tuple(options)
         expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
     if effort is not None:
-        per_pair = tuple(replace(option, effort=effort) for option in per_pair)
+        per_pair = tuple(_with_effort(option, effort) for option in per_pair)
     if solver is not None:
         per_pair = tuple(replace(option, solver=solver) for option in per_pair)
-    per_pair = tuple(coarser(option) if option.effort == "fast" else option for option in per_pair)
     for option in per_pair[1:]:
         alike = without_lengths(option) == without_lengths(per_pair[0])
         expect(alike, "options", "options that differ in lengths only within one batch", option)
     return per_pair
+
+
+def _with_effort(options: RegistrationOptions, effort: str) -> RegistrationOptions:
+    """The options at another effort; those of a fast run stay as they are, so that a run can be repeated."""
+    changed = replace(options, effort=effort)
+    return coarser(changed) if effort == "fast" and options.effort != "fast" else changed

@@ -37,8 +37,8 @@ def spacing(clouds: Clouds) -> Tensor:
         clouds: B clouds.
 
     Returns:
-        (B,) float64, meters: the median distance to the fourth nearest other point; 0 for a cloud of fewer
-        than 5 points or one where most points coincide.
+        (B,) float64, meters: the median distance to the fourth nearest other point, of distinct points where most
+        coincide; 0 for a cloud of fewer than 5 of them.
     """
     found = []
     for cloud in clouds.unpack():
@@ -46,11 +46,16 @@ def spacing(clouds: Clouds) -> Tensor:
         if count <= _SPACING_NEIGHBOR:
             found.append(torch.zeros((), dtype=torch.float64))
             continue
-        # neighbors among all points, asked for an even choice of them
+        # neighbors of all points, the median of an even choice of them
         reach = float((cloud.points.amax(dim=0) - cloud.points.amin(dim=0)).double().norm()) * 1.01 + 1e-30
         near = neighbors(cloud, reach, _SPACING_NEIGHBOR + 1)
         step = max(1, count // _SPACING_SAMPLE)
-        found.append(near.sq_distance[::step, _SPACING_NEIGHBOR].double().sqrt().median().cpu())
+        median = near.sq_distance[::step, _SPACING_NEIGHBOR].double().sqrt().median().cpu()
+        if float(median) == 0:  # most points stand several times
+            distinct = cloud.points.unique(dim=0)
+            if len(distinct) < count:
+                median = spacing(Clouds(points=distinct))[0]
+        found.append(median)
     return torch.stack(found) if found else torch.zeros(0, dtype=torch.float64)
 
 

@@ -136,6 +136,10 @@ class Clouds:
 
         return self._mapped(lambda value: value.to(device=device, dtype=dtype), self.origin.to(device=device))
 
+    def detach(self) -> Clouds:
+        """The same tensors, without gradients."""
+        return self._mapped(Tensor.detach, self.origin.detach())
+
     def pin_memory(self) -> Clouds:
         """Copy into page-locked memory, for faster and asynchronous transfer to a GPU."""
 

@@ -109,9 +109,9 @@ class RegistrationOptions:
         ransac: how hypotheses are drawn and accepted; its inlier threshold holds for both solvers.
         effort: ``"plain"`` is the paper's procedure with these features and this solver, and stops there. The
             others let several candidate poses compete on the clouds themselves, refine them and judge the
-            winner: ``"fast"`` from one set of features on points 1.5 times as far apart (all
-            lengths grow with them; the result holds those used), ``"balanced"`` from two, ``"thorough"`` from all sets
-            and both solvers.
+            winner: ``"fast"`` from one set of features, ``"balanced"`` from two, ``"thorough"`` from all sets
+            and both solvers. Asked for as ``register(effort="fast")``, all lengths grow by half and voxels thin
+            the points; the result holds the lengths used.
     """
 
     voxel_size: float | None = None

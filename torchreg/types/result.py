@@ -62,8 +62,9 @@ class RegistrationResult:
             as are all that follow.
         overlap: (B,) float64, mean over both directions of the share of points with a partner nearer than the
             inlier threshold.
-        information: (B, 6, 6) float64, Open3D's information matrix (rotations before translations, of the target
-            points that have a partner): ``get_information_matrix_from_point_clouds`` of target to source.
+        information: (B, 6, 6) float64, in the convention of Open3D's ``get_information_matrix_from_point_clouds``:
+            rotations before translations, over the target points that are partners of source points, in the frame of
+            the target's file. Summed over an even choice of the source points and scaled up to all of them.
         strength: (B,) float64 in [0, 1], how evenly the surfaces hold the pose: the square root of the least over
             the largest eigenvalue of the point-to-plane information, rotations scaled by the size of the
             overlap. Near 0 the pose slides along a plane, an axis or turns about one.

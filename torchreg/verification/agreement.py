@@ -14,11 +14,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.chunks import row_chunks
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.hypotheses.verdict import log10_binomial_tail
 
 _REPAIRINGS = 16
 _MOST = 400.0  # powers of ten: beyond it nothing is told apart, and numbers stay finite
+_ELEMENTS = 1 << 21  # of moved points at once, 16 MB
 _CELL = 3.5  # thresholds: 5 spacings, the support radius of a feature by default
 
 
@@ -44,10 +46,22 @@ class Agreement(NamedTuple):
 def agreement(matches: Matched, rotation: Tensor, translation: Tensor, threshold: float) -> Agreement:
     """Weigh poses (H, 3, 3), (H, 3) on matches."""
     count = len(matches.source)
-    if count == 0:
+    if count == 0 or len(rotation) == 0:
         empty = torch.zeros(len(rotation), dtype=torch.float64, device=rotation.device)
         return Agreement(empty.long(), empty)
-    cell, size = _cells(matches.source, _CELL * threshold)
+    cells = _cells(matches.source, _CELL * threshold)
+    parts = [
+        _weigh(matches, cells, rotation[rows], translation[rows], threshold)
+        for rows in row_chunks(len(rotation), 3 * count, _ELEMENTS)
+    ]
+    return Agreement(*(torch.cat(values) for values in zip(*parts, strict=True)))
+
+
+def _weigh(
+    matches: Matched, cells: tuple[Tensor, Tensor], rotation: Tensor, translation: Tensor, threshold: float
+) -> Agreement:
+    """As ``agreement``, of a few poses."""
+    count, (cell, size) = len(matches.source), cells
     moved = apply_rotation(rotation[:, None], matches.source) + translation[:, None]  # (H, M, 3)
 
     def agreeing(target: Tensor) -> Tensor:

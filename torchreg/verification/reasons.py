@@ -9,7 +9,7 @@ from torchreg.verification.choose import Chosen
 from torchreg.verification.model import MODEL, probability_alone, terms
 
 ACCEPTED = 0.6
-"""The least probability of a success."""
+"""The least probability of a success, where points lie as dense as in the cases that the weights were fitted to."""
 
 MARGIN = 1.0
 """The least log-odds of a success over its runner-up: about e to one."""
@@ -21,30 +21,31 @@ _LAID_ON = 0.3  # overlap from which surfaces lie on each other, so that sliding
 _RIVAL = 0.05  # a rival with this share of the probability is named
 
 
-def accepted(probability: float, odds: Tensor) -> bool:
+def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
     """Whether a best candidate of this probability is a success; ``odds`` (H,) of all candidates, best first."""
-    return probability >= ACCEPTED and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
+    return probability >= least and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
 
 
-def refusal(chosen: Chosen, apart: str) -> str:
+def refusal(chosen: Chosen, apart: str, least: float) -> str:
     """Why the best candidate is refused, or an empty text.
 
     Args:
         chosen: the candidates of one pair.
         apart: how far the runner-up is, in words.
+        least: probability of a success.
     """
     best, probability = chosen.candidates, float(chosen.probability[0])
-    if accepted(probability, best.odds):
+    if accepted(probability, best.odds, least):
         return ""
-    held = f"probability {probability:.2f} of being right, {ACCEPTED:g} is needed"
-    if probability >= ACCEPTED:
+    held = f"probability {probability:.2f} of being right, {least:g} is needed"
+    if probability >= least:
         held = f"log-odds {float(best.odds[0] - best.odds[1]):.2f} above it, {MARGIN:g} are needed"
     if chosen.slide.strength < FIRM and float(best.evidence.overlap[0]) >= _LAID_ON:
         others = f"; {apart}, they agree nearly as well" if apart else ""
         return f"sliding: the surfaces leave a motion open (strength {chosen.slide.strength:.3f}){others} ({held})"
     if len(chosen.probability) > 1:
         alone, rival = float(probability_alone(best.odds[0])), float(chosen.probability[1])
-        if alone >= ACCEPTED and rival >= _RIVAL:
+        if alone >= least and rival >= _RIVAL:
             return f"ambiguous: a second pose {apart} agrees nearly as well ({held})"
     return f"{_weakest(chosen)} ({held})"
 

@@ -25,7 +25,7 @@ from torchreg.verification.choose import Chosen, choose
 from torchreg.verification.collect import Proposed, Verdict, collect
 from torchreg.verification.poses import Poses, joined
 from torchreg.verification.probes import FLIP, SLIDE
-from torchreg.verification.reasons import refusal
+from torchreg.verification.reasons import ACCEPTED, refusal
 from torchreg.verification.view import view
 from torchreg.verification.weigh import Scales
 
@@ -40,12 +40,14 @@ class Care(NamedTuple):
         sample: points of each scan that are looked at.
         refined: distinct candidates that ICP refines.
         iterations: of ICP at most.
+        accepted: the least probability of a success.
     """
 
     poses: int
     sample: int
     refined: int
     iterations: int
+    accepted: float = ACCEPTED
 
 
 class Lengths(NamedTuple):
@@ -104,12 +106,18 @@ def proposals_of(proposed: Sequence[Proposed], b: int) -> tuple[Proposal, ...]:
 def _judge(
     source: Clouds, target: Clouds, proposed: Sequence[Proposed], b: int, lengths: Lengths, care: Care
 ) -> Verdict:
-    one, other = source.select(b), target.select(b)
+    one, center_one = _centered(source.select(b))
+    other, center_other = _centered(target.select(b))
     matched = [_matched(source, target, part.matches, b) for part in proposed]
+    matched = [Matched(pair.source - center_one, pair.target - center_other) for pair in matched]
     views = [view(cloud, lengths.spacing, care.sample) for cloud in (one, other)]
     scales = Scales(views[0], views[1], matched, lengths.threshold)
     parts = [
-        Poses(pair.rotation, pair.translation, torch.full_like(pair.support, number)).take(slice(care.poses))
+        Poses(
+            pair.rotation,
+            pair.translation + apply_rotation(pair.rotation, center_one.expand_as(pair.translation)) - center_other,
+            torch.full_like(pair.support, number),
+        ).take(slice(care.poses))
         for number, pair in enumerate(part.poses[b] for part in proposed)
     ]
     chosen = choose(scales, joined(parts), care.refined, care.iterations)
@@ -126,7 +134,7 @@ def _judge(
         inliers=apart.square().sum(dim=1) < lengths.threshold**2,
         fitness=float(near.fitness),
         inlier_rmse=float(near.inlier_rmse),
-        reason=refusal(chosen, _apart(best.poses, scales.source.points)),
+        reason=refusal(chosen, _apart(best.poses, scales.source.points), care.accepted),
         probability=float(chosen.probability[0]),
         overlap=float(best.evidence.overlap[0]),
         information=chosen.information,
@@ -155,6 +163,21 @@ def _nothing(source: Clouds, poses: PairPoses) -> Verdict:
         margin=math.inf,
         candidates=(),
     )
+
+
+def _centered(cloud: Clouds) -> tuple[Clouds, Tensor]:
+    """One cloud about its middle (3,) float64, in float32, which then loses nothing; the origin takes the middle up."""
+    wide = cloud.points.double()
+    center = (wide.amin(dim=0) + wide.amax(dim=0)) / 2
+    viewpoint = None if cloud.viewpoint is None else (cloud.viewpoint.double() - center).float()
+    moved = Clouds(
+        points=(wide - center).float(),
+        colors=None if cloud.colors is None else cloud.colors.float(),
+        normals=None if cloud.normals is None else cloud.normals.float(),
+        origin=cloud.origin + center,
+        viewpoint=viewpoint,
+    )
+    return moved, center
 
 
 def _matched(source: Clouds, target: Clouds, matches: Correspondences, b: int) -> Matched:
