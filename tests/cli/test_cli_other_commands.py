@@ -59,9 +59,9 @@ def test_demo(run, tmp_path):
     picture, out = tmp_path / "p.png", tmp_path / "out"
     result = run("demo", "--seed", "2", "--angular-step", "1", "--figure", picture, "--out", out)
     assert result.exit_code == 0, result.output
-    for words in ("paper: FPFH alone", "paper: FPFH + PCFH", "default without color", "right"):
+    for words in ("paper: FPFH alone", "paper: FPFH + PCFH", "plain, without color", "right"):
         assert words in result.stdout
-    assert "with color" in result.stdout
+    assert "of the matches are right" in result.stdout
     assert picture.stat().st_size > 10_000
     assert sorted(path.name for path in out.iterdir()) == ["result.json", "source.ply", "target.ply", "truth.txt"]
     again = run(

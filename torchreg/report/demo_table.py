@@ -62,19 +62,19 @@ def demo_table(rows: Sequence[DemoRow]) -> Table:
 
 
 def demo_sentence(plain: DemoRow, fused: DemoRow) -> str:
-    """One sentence on what is seen of one hall, without and with color.
+    """One sentence on what is seen of one hall, by the plain procedure without color and by the default.
 
     Args:
-        plain: geometry alone.
-        fused: geometry and color, otherwise the same.
+        plain: geometry alone, the best of its matches' poses.
+        fused: geometry and color, candidates weighed on the clouds.
     """
     matches = f"{100 * fused.inlier_ratio:.1f} % of the matches are right instead of {100 * plain.inlier_ratio:.1f} %"
     if fused.right and plain.right:
-        return f"The walls of both scans lie on each other with color and without; with color, {matches}."
+        return f"The walls of both scans lie on each other by default and without color; with color {matches}."
     if fused.right:
         wrong = f"turned by {plain.errors.rre_degrees:.0f} degrees and moved by {plain.errors.rte_meters:.1f} m"
         if plain.errors.rre_degrees > _TURNED_ROUND:
             wrong += ", wall on wall but shops and furniture elsewhere"
-        return f"Without color one scan ends up {wrong}; with color all of it coincides, and {matches}."
-    other = "without it they do" if plain.right else "nor without it"
-    return f"With color the walls of the two scans do not lie on each other, {other}; {matches}."
+        return f"Without color the plain procedure leaves one scan {wrong}; by default all coincides, and {matches}."
+    other = "by the plain procedure without color they do" if plain.right else "nor by the plain procedure"
+    return f"By default the walls of the two scans do not lie on each other, {other}; with color, {matches}."
