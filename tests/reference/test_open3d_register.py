@@ -28,7 +28,7 @@ def test_a_room_is_registered(features):
     assert tr.metrics.rte(PAIR.T_target_source, result.T_target_source) < 0.4
     assert result.options == (OPTIONS,)
     assert [name for name, _ in result.seconds] == [
-        *("options", "downsample", "neighbors and normals", "descriptors", "matching", "ransac")
+        *("options", "downsample", "neighbors and normals", "descriptors", "matching", "hypotheses")
     ]
     assert all(seconds >= 0 for _, seconds in result.seconds)
     fit = open3d.evaluate(PAIR.source, PAIR.target, result.T_target_source, OPTIONS.ransac.inlier_threshold)

@@ -43,9 +43,8 @@ def stable_sum(values: Tensor) -> Tensor:
         return values.sum(dim=0)
     columns = values.reshape(count, -1).t()  # (C, M)
     blocks = max(1, -(-count // _BLOCK))
-    if blocks > 1:
-        columns = torch.nn.functional.pad(columns, (0, blocks * _BLOCK - count))
-    partial = columns.reshape(-1, blocks, columns.shape[1] // blocks)  # (C, blocks, 1024), or (C, 1, M)
+    padded = torch.nn.functional.pad(columns, (0, blocks * _BLOCK - count))
+    partial = padded.reshape(-1, blocks, _BLOCK)  # (C, blocks, 1024)
     # a row more than there is data keeps a single column from becoming a full reduction, which threads split
     partial = torch.nn.functional.pad(partial, (0, 0, 0, 1)).sum(dim=2)  # (C, blocks + 1)
     total = partial.cumsum(dim=1)[:, -1] if blocks > 1 else partial[:, 0]
