@@ -72,7 +72,7 @@ def icp(
     chosen = per_pair(options, pairs)
     for option in chosen:
         expect_attributes(source, target, option.kind)
-    source, target = _detached(source), _detached(target)
+    source, target = source.detach(), target.detach()
     T = T_target_source.detach().to(source.device, torch.float64).expand(pairs, 4, 4).clone()
     state = _start(T, broken(source, target, T, chosen))
     found = T.clone()
@@ -149,17 +149,4 @@ def _start(T: Tensor, failed: list[str]) -> State:
         iterations=[0] * pairs,
         converged=[False] * pairs,
         failed=failed,
-    )
-
-
-def _detached(clouds: Clouds) -> Clouds:
-    def detached(values: Tensor | None) -> Tensor | None:
-        return None if values is None else values.detach()
-
-    return Clouds(
-        points=clouds.points.detach(),
-        offsets=clouds.offsets,
-        colors=detached(clouds.colors),
-        normals=detached(clouds.normals),
-        origin=clouds.origin.detach(),
     )
