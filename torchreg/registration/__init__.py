@@ -1,7 +1,18 @@
-"""The pipeline as one function, its presets, and the scale it derives from the clouds."""
+"""The pipeline as one function, its two halves, its presets, and the scale it derives from the clouds."""
 
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.describing import describe_clouds
+from torchreg.registration.match_and_solve import register_described
 from torchreg.registration.presets import PAPER
 from torchreg.registration.register import register
 from torchreg.registration.scale import derive_options, spacing
 
-__all__ = ["PAPER", "derive_options", "register", "spacing"]
+__all__ = [
+    "PAPER",
+    "DescribedClouds",
+    "derive_options",
+    "describe_clouds",
+    "register",
+    "register_described",
+    "spacing",
+]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 
@@ -14,27 +15,52 @@ _FARTHEST = 1e15  # meters: squares stay finite in float32
 _MOST_VOXELS = 1e6  # a side: what voxels can be numbered by
 
 
+class CloudFacts(NamedTuple):
+    """What is known of one cloud as it was given.
+
+    Attributes:
+        points: how many.
+        extent: meters, the longest edge of its bounding box; 0 where that means nothing.
+        defect: why it cannot be registered, ``{}`` standing for its role in a pair; empty where it can.
+        colors: the least and the greatest number among its colors; ``None`` without colors.
+        faced: whether its viewpoint is known.
+    """
+
+    points: int
+    extent: float
+    defect: str
+    colors: tuple[float, float] | None
+    faced: bool
+
+
+def facts_of(clouds: Clouds) -> tuple[CloudFacts, ...]:
+    """The facts of every cloud of a batch."""
+    return tuple(map(_facts, clouds.unpack()))
+
+
 def refuse(source: Clouds, target: Clouds) -> list[str]:
     """Why each pair cannot be registered at all, or an empty text."""
-    return [
-        _defect(one, "source") or _defect(other, "target")
-        for one, other in zip(source.unpack(), target.unpack(), strict=True)
-    ]
+    return [refusal(one, other) for one, other in zip(facts_of(source), facts_of(target), strict=True)]
 
 
-def too_wide(source: Clouds, target: Clouds, options: Sequence[RegistrationOptions]) -> list[str]:
-    """Why the voxels of each pair cannot be numbered, or an empty text."""
-    found = []
-    for one, other, option in zip(source.unpack(), target.unpack(), options, strict=True):
-        reason = ""
-        for name, cloud in (("source", one), ("target", other)):
-            if option.voxel_size is None or len(cloud.points) == 0:
-                continue
-            extent = float((cloud.points.amax(dim=0) - cloud.points.amin(dim=0)).amax())
-            if extent > _MOST_VOXELS * option.voxel_size:
-                reason = f"points too far apart: {extent:.3g} m in the {name}, for voxels of {option.voxel_size:.3g} m"
-        found.append(reason)
-    return found
+def refusal(source: CloudFacts, target: CloudFacts, options: RegistrationOptions | None = None) -> str:
+    """Why one pair cannot be registered, with these options if they are known already, or an empty text."""
+    for name, facts in (("source", source), ("target", target)):
+        if facts.defect:
+            return facts.defect.format(name)
+    if options is not None:
+        for name, facts in (("target", target), ("source", source)):
+            reason = too_wide(facts, options)
+            if reason:
+                return reason.format(name)
+    return ""
+
+
+def too_wide(facts: CloudFacts, options: RegistrationOptions) -> str:
+    """Why the voxels of a cloud cannot be numbered, ``{}`` standing for its role, or an empty text."""
+    if options.voxel_size is None or facts.extent <= _MOST_VOXELS * options.voxel_size:
+        return ""
+    return f"points too far apart: {facts.extent:.3g} m in the {{}}, for voxels of {options.voxel_size:.3g} m"
 
 
 def set_aside(clouds: Clouds, refused: Sequence[str]) -> Clouds:
@@ -50,45 +76,63 @@ def set_aside(clouds: Clouds, refused: Sequence[str]) -> Clouds:
 
 def notes_on(source: Clouds, target: Clouds, options: Sequence[RegistrationOptions]) -> tuple[tuple[str, ...], ...]:
     """Remarks on every pair: missing colors or viewpoints, and what is done without them."""
-    notes = []
-    for b, option in enumerate(options):
-        said = []
-        bare = [name for name, cloud in (("source", source), ("target", target)) if cloud.colors is None]
-        if bare:
-            said.append(f"no colors in {' and '.join(bare)}: FPFH alone")
-        for name, cloud in (("source", source), ("target", target)):
-            if cloud.viewpoint is None or not bool(torch.isfinite(cloud.viewpoint[b]).all()):
-                said.append(f"no viewpoint for the {name}: its normals are turned to its mean point")
-        for name, cloud in (("source", source), ("target", target)):
-            if cloud.colors is not None:
-                colors = cloud.select(b).colors
-                if colors is not None and len(colors) > 0 and bool((colors < 0).any() | (colors > 1).any()):
-                    low, high = float(colors.amin()), float(colors.amax())
-                    said.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
-        if option.voxel_size is not None:
-            said.append(f"downsampled to voxels of {option.voxel_size:.3g} m")
-        notes.append(tuple(said))
-    return tuple(notes)
+    return tuple(map(pair_notes, facts_of(source), facts_of(target), options))
 
 
-def _defect(cloud: Clouds, name: str) -> str:
+def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOptions) -> tuple[str, ...]:
+    """Remarks on one pair."""
+    said = []
+    sides = (("source", source), ("target", target))
+    bare = [name for name, facts in sides if facts.colors is None]
+    if bare:
+        said.append(f"no colors in {' and '.join(bare)}: FPFH alone")
+    for name, facts in sides:
+        if not facts.faced:
+            said.append(f"no viewpoint for the {name}: its normals are turned to its mean point")
+    for name, facts in sides:
+        if facts.colors is not None and (facts.colors[0] < 0 or facts.colors[1] > 1):
+            low, high = facts.colors
+            said.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
+    if options.voxel_size is not None:
+        said.append(f"downsampled to voxels of {options.voxel_size:.3g} m")
+    return tuple(said)
+
+
+def _facts(cloud: Clouds) -> CloudFacts:
+    """The facts of a batch of one."""
+    colors, extent = None, 0.0
+    if cloud.colors is not None:
+        empty = cloud.colors.numel() == 0
+        colors = (0.0, 0.0) if empty else (float(cloud.colors.amin()), float(cloud.colors.amax()))
+    if len(cloud.points) > 0:
+        extent = float((cloud.points.amax(dim=0) - cloud.points.amin(dim=0)).amax())
+    return CloudFacts(
+        points=len(cloud.points),
+        extent=extent,
+        defect=_defect(cloud),
+        colors=colors,
+        faced=cloud.viewpoint is not None and bool(torch.isfinite(cloud.viewpoint).all()),
+    )
+
+
+def _defect(cloud: Clouds) -> str:
     points = cloud.points
     if len(points) < _LEAST_POINTS:
-        return f"too few points: the {name} has {len(points)}, at least {_LEAST_POINTS} are needed"
+        return f"too few points: the {{}} has {len(points)}, at least {_LEAST_POINTS} are needed"
     if not bool(torch.isfinite(cloud.origin).all()):
-        return f"an origin that is not finite in the {name}"
+        return "an origin that is not finite in the {}"
     finite = torch.isfinite(points).all(dim=1)
     if not bool(finite.all()):
-        return f"points that are not finite: {int((~finite).sum())} of {len(points)} in the {name}"
+        return f"points that are not finite: {int((~finite).sum())} of {len(points)} in the {{}}"
     if float(points.abs().amax()) > _FARTHEST:
-        return f"points too far out: up to {float(points.abs().amax()):.3g} m in the {name}, at most {_FARTHEST:.0e} m"
+        return f"points too far out: up to {float(points.abs().amax()):.3g} m in the {{}}, at most {_FARTHEST:.0e} m"
     if cloud.colors is not None and not bool(torch.isfinite(cloud.colors).all()):
-        return f"colors that are not finite in the {name}"
+        return "colors that are not finite in the {}"
     centered = (points - points[:1]).double()
     if not bool((centered != 0).any()):
-        return f"a degenerate cloud: all {len(points)} points of the {name} coincide"
+        return f"a degenerate cloud: all {len(points)} points of the {{}} coincide"
     centered = centered - centered.mean(dim=0)
     spread = torch.linalg.eigvalsh(centered.t() @ centered)
     if float(spread[1]) <= 1e-12 * float(spread[2]):
-        return f"a degenerate cloud: the points of the {name} lie on one line"
+        return "a degenerate cloud: the points of the {} lie on one line"
     return ""

@@ -14,6 +14,7 @@ from torch import Tensor
 from torchreg.errors import expect
 from torchreg.neighbors import neighbors
 from torchreg.preprocess import voxel_downsample
+from torchreg.registration.same_clouds import same_clouds
 from torchreg.types import Clouds, RansacOptions, RegistrationOptions
 
 MAX_POINTS = 30_000
@@ -64,7 +65,7 @@ def derive_options(source: Clouds, target: Clouds) -> tuple[RegistrationOptions,
 
     Args:
         source: B clouds.
-        target: B clouds.
+        target: B clouds. A cloud that stands several times in the batch is looked at once.
 
     Returns:
         One ``RegistrationOptions`` per pair. ``voxel_size`` is set where a cloud has more than 30,000 points
@@ -75,7 +76,58 @@ def derive_options(source: Clouds, target: Clouds) -> tuple[RegistrationOptions,
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     colored = source.colors is not None and target.colors is not None
-    return tuple(_for_pair(one, other, colored) for one, other in zip(source.unpack(), target.unpack(), strict=True))
+    numbers = same_clouds([source, target])
+    scales: dict[int, CloudScale] = {}
+    for clouds, own in zip((source, target), numbers, strict=True):
+        for number, cloud in zip(own, clouds.unpack(), strict=True):
+            scales.setdefault(number, CloudScale(cloud))
+    return tuple(
+        options_of_scales(scales[one], scales[other], colored=colored) for one, other in zip(*numbers, strict=True)
+    )
+
+
+class CloudScale:
+    """The lengths of one cloud, each found when it is first asked for and then kept.
+
+    Attributes:
+        points: how many it has.
+        usable: whether there are any, and all of them finite.
+    """
+
+    def __init__(self, cloud: Clouds) -> None:
+        self._cloud = cloud
+        self._spacings: dict[float | None, float] = {}
+        self._voxel: float | None = None
+        self.points = len(cloud.points)
+        self.usable = usable(cloud)
+
+    @property
+    def thinning_voxel(self) -> float:
+        """Meters; the voxel edge that leaves about ``THINNED_POINTS``, not more; 0 for a cloud that has fewer."""
+        if self._voxel is None:
+            self._voxel = _thinning_voxel(self._cloud)
+        return self._voxel
+
+    def spacing(self, voxel_size: float | None = None) -> float:
+        """Meters, of its points or of the means over voxels of this edge."""
+        if voxel_size not in self._spacings:
+            cloud = self._cloud if voxel_size is None else voxel_downsample(self._cloud, voxel_size)
+            self._spacings[voxel_size] = float(spacing(cloud))
+        return self._spacings[voxel_size]
+
+
+def options_of_scales(source: CloudScale, target: CloudScale, *, colored: bool) -> RegistrationOptions:
+    """The options derived for one pair."""
+    if not source.usable or not target.usable:
+        return scaled_options(1.0, colored=colored)  # register() refuses the pair with its reason
+    voxel_size = None
+    if max(source.points, target.points) > MAX_POINTS:
+        voxel_size = max(source.thinning_voxel, target.thinning_voxel)
+    apart = (source.spacing(voxel_size), target.spacing(voxel_size))
+    scale = max(apart)
+    if voxel_size is None and min(apart) > 0 and scale > UNEVEN * min(apart):
+        voxel_size = scale
+    return scaled_options(scale if scale > 0 else 1.0, voxel_size=voxel_size, colored=colored)
 
 
 def scaled_options(scale: float, *, voxel_size: float | None = None, colored: bool = True) -> RegistrationOptions:
@@ -93,20 +145,6 @@ def scaled_options(scale: float, *, voxel_size: float | None = None, colored: bo
         ransac=RansacOptions(inlier_threshold=1.5 * scale),
         effort="balanced",
     )
-
-
-def _for_pair(source: Clouds, target: Clouds, colored: bool) -> RegistrationOptions:
-    if not usable(source) or not usable(target):
-        return scaled_options(1.0, colored=colored)  # register() refuses the pair with its reason
-    voxel_size = None
-    if max(len(source.points), len(target.points)) > MAX_POINTS:
-        voxel_size = max(_thinning_voxel(source), _thinning_voxel(target))
-        source, target = voxel_downsample(source, voxel_size), voxel_downsample(target, voxel_size)
-    apart = (float(spacing(source)), float(spacing(target)))
-    scale = max(apart)
-    if voxel_size is None and min(apart) > 0 and scale > UNEVEN * min(apart):
-        voxel_size = scale
-    return scaled_options(scale if scale > 0 else 1.0, voxel_size=voxel_size, colored=colored)
 
 
 def usable(cloud: Clouds) -> bool:

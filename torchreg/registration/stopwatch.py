@@ -6,18 +6,18 @@ import time
 
 
 class Stopwatch:
-    """Measures wall-clock seconds from lap to lap."""
+    """Measures wall-clock seconds from lap to lap; laps of the same name add up."""
 
     def __init__(self) -> None:
         self._started = time.perf_counter()
-        self._laps: list[tuple[str, float]] = []
+        self._laps: dict[str, float] = {}
 
     def lap(self, name: str) -> None:
-        """Note the seconds since the last lap under this name."""
+        """Count the seconds since the last lap under this name."""
         now = time.perf_counter()
-        self._laps.append((name, now - self._started))
+        self._laps[name] = self._laps.get(name, 0.0) + now - self._started
         self._started = now
 
     def laps(self) -> tuple[tuple[str, float], ...]:
-        """(name, seconds) in order."""
-        return tuple(self._laps)
+        """(name, seconds), in the order in which the names came first."""
+        return tuple(self._laps.items())
