@@ -1,6 +1,7 @@
 """Clouds and results in and out: files, and Open3D's types."""
 
 from torchreg.io.open3d_clouds import from_open3d, to_open3d
+from torchreg.io.pairs_file import PairRow, read_pairs_file
 from torchreg.io.read import CloudFile, read_cloud, read_cloud_report
 from torchreg.io.result_json import result_to_dict, write_result_json
 from torchreg.io.transform_text import read_transform_text, write_transform_text
@@ -8,9 +9,11 @@ from torchreg.io.write import write_cloud
 
 __all__ = [
     "CloudFile",
+    "PairRow",
     "from_open3d",
     "read_cloud",
     "read_cloud_report",
+    "read_pairs_file",
     "read_transform_text",
     "result_to_dict",
     "to_open3d",
