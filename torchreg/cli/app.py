@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from torchreg.cli.batch import batch
 from torchreg.cli.check import check
 from torchreg.cli.demo import demo
 from torchreg.cli.guard import GuardedGroup
@@ -21,6 +22,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 app.command()(register)
+app.command()(batch)
 app.command()(check)
 app.command()(info)
 app.command()(demo)

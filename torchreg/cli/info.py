@@ -12,6 +12,7 @@ from torchreg.cli import options as opt
 from torchreg.cli.output import STANDARD_OUTPUT, standard_output, write_json
 from torchreg.cli.progress import step
 from torchreg.io import CloudFile, read_cloud_report
+from torchreg.io.viewpoint_text import viewpoint_of_text
 from torchreg.registration import derive_options, spacing
 from torchreg.registration.inspect import refuse
 from torchreg.types import RegistrationOptions
@@ -27,7 +28,7 @@ def info(file: CloudPath, json: opt.JsonSwitch = False, viewpoint: opt.Viewpoint
     from torchreg.report import cloud_table
 
     with step(f"reading {file.name}"):
-        found = read_cloud_report(file, viewpoint=opt.viewpoint_of(viewpoint))
+        found = read_cloud_report(file, viewpoint=viewpoint_of_text(viewpoint, "--viewpoint"))
     defect = refuse(found.cloud, found.cloud)[0].replace("the source", "it")
     options, apart = None, 0.0
     if not defect:

@@ -8,8 +8,6 @@ from typing import Annotated
 
 import typer
 
-from torchreg.errors import expect
-
 
 class Preset(str, Enum):
     """Registration options by name."""
@@ -260,21 +258,3 @@ AlignedFile = Annotated[
         rich_help_panel=_OUTPUT,
     ),
 ]
-
-
-def viewpoint_of(text: str) -> str | tuple[float, ...] | None:
-    """What ``read_cloud`` takes as ``viewpoint``, from ``auto``, ``origin``, ``none`` or ``x,y,z`` in meters.
-
-    Raises:
-        ValueError: anything else.
-    """
-    if text in ("auto", "origin"):
-        return text
-    if text == "none":
-        return None
-    try:
-        position = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        position = ()
-    expect(len(position) == 3, "--viewpoint", "auto, origin, none or three numbers x,y,z in meters", text)
-    return position

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass, fields
 
 from torchreg.cli import options as opt
 from torchreg.preprocess import voxel_downsample
 from torchreg.registration import PAPER, derive_options, spacing
+from torchreg.registration.overrides import OptionOverrides
 from torchreg.registration.scale import scaled_options, usable
 from torchreg.types import Clouds, RegistrationOptions
-
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,25 +31,15 @@ class Overrides:
     no_color: opt.NoColor = False
 
     def __post_init__(self) -> None:
-        self.over(PAPER)
+        self.said()
+
+    def said(self) -> OptionOverrides:
+        """What was given, without the preset."""
+        return OptionOverrides(**{one.name: getattr(self, one.name) for one in fields(OptionOverrides)})
 
     def over(self, options: RegistrationOptions) -> RegistrationOptions:
         """The options with what was given in their place."""
-        return replace(
-            options,
-            voxel_size=_either(self.voxel, options.voxel_size),
-            normal_radius=_either(self.normal_radius, options.normal_radius),
-            feature_radius=_either(self.feature_radius, options.feature_radius),
-            color_radius=_either(self.color_radius, options.color_radius),
-            color=() if self.no_color else options.color,
-            color_weights=() if self.no_color else options.color_weights,
-            ransac=replace(
-                options.ransac,
-                inlier_threshold=_either(self.inlier_threshold, options.ransac.inlier_threshold),
-                hypotheses=_either(self.hypotheses, options.ransac.hypotheses),
-                confidence=_either(self.confidence, options.ransac.confidence),
-            ),
-        )
+        return self.said().over(options)
 
 
 def options_for(source: Clouds, target: Clouds, overrides: Overrides) -> RegistrationOptions:
@@ -67,7 +55,3 @@ def options_for(source: Clouds, target: Clouds, overrides: Overrides) -> Registr
     scale = max(float(spacing(cloud)) for cloud in thinned) or overrides.voxel
     colored = source.colors is not None and target.colors is not None
     return overrides.over(scaled_options(scale, colored=colored))
-
-
-def _either(given: _T | None, otherwise: _T) -> _T:
-    return otherwise if given is None else given

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchreg.cli import options as opt
 from torchreg.cli.progress import step
 from torchreg.io import CloudFile, read_cloud_report
+from torchreg.io.viewpoint_text import viewpoint_of_text
 from torchreg.preprocess import random_downsample
 from torchreg.types import Clouds
 
@@ -88,7 +89,7 @@ def read_pair(words: PairInput) -> ReadPair:
         CloudFileError: a file that cannot be read as a cloud.
         ValueError: the viewpoint means nothing.
     """
-    position = opt.viewpoint_of(words.viewpoint)
+    position = viewpoint_of_text(words.viewpoint, "--viewpoint")
     files = []
     for path in (words.source, words.target):
         with step(f"reading {path.name}"):

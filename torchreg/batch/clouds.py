@@ -1,0 +1,99 @@
+"""A cloud of a batch: where it is, how it is read, and what a first look at it shows."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.batch.pairs import Pair
+from torchreg.io import read_cloud
+from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.preprocess import random_downsample
+from torchreg.registration.scale import MAX_POINTS, CloudScale
+from torchreg.types import Clouds
+
+
+class CloudSource(NamedTuple):
+    """A file and how it is read; equal ones give equal clouds.
+
+    Attributes:
+        path: of the file.
+        viewpoint: as in ``PairSettings``.
+        points: how many are chosen at random; ``None`` for all.
+        seed: of that choice; 0 where there is none.
+    """
+
+    path: str
+    viewpoint: str
+    points: int | None
+    seed: int
+
+
+class Look(NamedTuple):
+    """What a first look at a cloud shows.
+
+    Attributes:
+        digest: of all that the cloud holds; equal clouds have equal ones.
+        points: how many.
+        colored: whether it has colors.
+        voxel: meters; the voxel edge that its own number of points asks for, or that was given; 0 for none.
+        spacing: meters, of the points after that; 0 where it was not asked for.
+    """
+
+    digest: str
+    points: int
+    colored: bool
+    voxel: float
+    spacing: float
+
+
+def sources_of(pair: Pair) -> tuple[CloudSource, CloudSource]:
+    """Source and target of a pair."""
+    chosen = pair.settings
+    seed = chosen.seed if chosen.points is not None else 0
+    one, other = (CloudSource(path, chosen.viewpoint, chosen.points, seed) for path in (pair.source, pair.target))
+    return one, other
+
+
+def read_source(source: CloudSource) -> Clouds:
+    """Read a cloud, a batch of one on the CPU.
+
+    Raises:
+        CloudFileError: the file is missing or damaged.
+    """
+    cloud = read_cloud(source.path, viewpoint=viewpoint_of_text(source.viewpoint))
+    if source.points is None:
+        return cloud
+    return random_downsample(cloud, source.points, generator=torch.Generator().manual_seed(source.seed))
+
+
+def look_at(cloud: Clouds, voxel: float | None, *, scaled: bool) -> Look:
+    """Look at a cloud.
+
+    Args:
+        cloud: a batch of one.
+        voxel: meters, the voxel edge that was given; ``None`` where its size is to decide.
+        scaled: whether the spacing is asked for.
+    """
+    scale = CloudScale(cloud)
+    edge = voxel or 0.0
+    if scaled and voxel is None and scale.usable and scale.points > MAX_POINTS:
+        edge = scale.thinning_voxel
+    spacing = scale.spacing(edge or None) if scaled and scale.usable else 0.0
+    return Look(digest_of(cloud), scale.points, cloud.colors is not None, edge, spacing)
+
+
+def digest_of(cloud: Clouds) -> str:
+    """Hexadecimal digits that name the content of a cloud: points, colors, normals, origin and viewpoint."""
+    known = hashlib.blake2b(digest_size=16)
+    for part in (cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint):
+        known.update(b"none" if part is None else _bytes(part))
+    return known.hexdigest()
+
+
+def _bytes(part: Tensor) -> bytes:
+    array = part.contiguous().numpy()
+    return f"{array.dtype} {array.shape}".encode() + array.tobytes()

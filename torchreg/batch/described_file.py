@@ -1,0 +1,78 @@
+"""Described clouds on disk, named by their content and by all that describing them depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchreg.io.atomic import atomic_write
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.inspect import CloudFacts
+from torchreg.types import Clouds, Features, RegistrationOptions
+from torchreg.version import __version__
+
+_FORMAT = 1
+
+
+def described_name(digest: str, options: RegistrationOptions) -> str:
+    """The file's name for a cloud of this digest and these ``description_options``."""
+    said = json.dumps({"format": _FORMAT, "torchreg": __version__, "cloud": digest, "options": asdict(options)})
+    return f"{hashlib.blake2b(said.encode(), digest_size=16).hexdigest()}.pt"
+
+
+def write_described(path: Path, described: DescribedClouds) -> None:
+    """Write one described cloud, in full or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    cloud = described.cloud
+    content = {
+        "points": cloud.points,
+        "colors": cloud.colors,
+        "normals": cloud.normals,
+        "origin": cloud.origin,
+        "viewpoint": cloud.viewpoint,
+        "descriptors": {
+            name: {"values": item.values, "valid": item.valid, "blocks": [list(block) for block in item.blocks]}
+            for name, item in described.descriptors.items()
+        },
+        "spacing": list(described.spacing),
+        "facts": [list(facts) for facts in described.facts],
+    }
+    with atomic_write(path) as file:
+        torch.save(content, file)
+
+
+def read_described(path: Path) -> DescribedClouds | None:
+    """Read one described cloud; ``None`` where the file is missing or damaged, so that it is to be made again."""
+    if not os.path.exists(path):
+        return None
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        return _described(content)
+    except Exception:  # whatever a damaged file leads to
+        return None
+
+
+def _described(content: dict[str, Any]) -> DescribedClouds:
+    cloud = Clouds(**{name: content[name] for name in ("points", "colors", "normals", "origin", "viewpoint")})
+    descriptors = {
+        name: Features(
+            values=item["values"],
+            offsets=cloud.offsets,
+            blocks=tuple((str(block), int(size)) for block, size in item["blocks"]),
+            valid=item["valid"],
+        )
+        for name, item in content["descriptors"].items()
+    }
+    facts = []
+    for points, extent, defect, colors, faced in content["facts"]:
+        facts.append(CloudFacts(points, extent, defect, None if colors is None else tuple(colors), faced))
+    return DescribedClouds(cloud, descriptors, tuple(content["spacing"]), tuple(facts))

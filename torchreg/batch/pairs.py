@@ -1,0 +1,112 @@
+"""The pairs of a batch: the rows of a pairs file, or all pairs of some files."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchreg.batch.settings import PairSettings
+from torchreg.errors import expect
+from torchreg.io import read_pairs_file
+
+_LONGEST = 120  # characters of a file's name that are taken from a pair's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """One pair to be registered.
+
+    Attributes:
+        name: different for every pair of the batch.
+        source: path of the file.
+        target: path of the file.
+        source_text: as it was written.
+        target_text: as it was written.
+        settings: of this pair.
+        truth: rows of T_target_source, meters, where it is known.
+        extra: other columns, carried into the table.
+    """
+
+    name: str
+    source: str
+    target: str
+    source_text: str
+    target_text: str
+    settings: PairSettings
+    truth: tuple[tuple[float, ...], ...] | None = None
+    extra: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def file_name(self) -> str:
+        """A name for the pair's own file, different for every pair of the batch."""
+        plain = re.sub(r"[^\w.+-]", "_", self.name)[:_LONGEST].lstrip(".")
+        if plain == self.name:
+            return plain
+        return f"{plain}-{hashlib.blake2b(self.name.encode(), digest_size=4).hexdigest()}"
+
+    def transform(self) -> Tensor | None:
+        """The true T_target_source (4, 4) float64, where it is known."""
+        return None if self.truth is None else torch.tensor(self.truth, dtype=torch.float64)
+
+
+def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
+    """The pairs that a table lists; see ``read_pairs_file`` and ``PairSettings`` for its columns.
+
+    Raises:
+        ValueError: the table cannot be read, or a cell means nothing; the message names the line.
+    """
+    return tuple(
+        Pair(
+            name=row.name,
+            source=os.path.abspath(row.source),
+            target=os.path.abspath(row.target),
+            source_text=row.source_text,
+            target_text=row.target_text,
+            settings=settings.with_columns(row.extra, f"{path}, line {row.line}"),
+            truth=None if row.T_target_source is None else tuple(map(tuple, row.T_target_source.tolist())),
+            extra=tuple((name, text) for name, text in row.extra.items() if name not in settings.flat()),
+        )
+        for row in read_pairs_file(path)
+    )
+
+
+def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
+    """Every two of the files that a pattern names, each pair once, the earlier name as the source.
+
+    Raises:
+        ValueError: fewer than two files.
+    """
+    files = sorted(file for file in glob.glob(pattern, recursive=True) if os.path.isfile(file))
+    expect(
+        len(files) >= 2, "--all-pairs", "a pattern that names at least two files", f"{pattern!r}, which names {files}"
+    )
+    names = _short_names(files)
+    return tuple(
+        Pair(
+            name=f"{names[one]}__{names[other]}",
+            source=os.path.abspath(one),
+            target=os.path.abspath(other),
+            source_text=one,
+            target_text=other,
+            settings=settings,
+        )
+        for one, other in combinations(files, 2)
+    )
+
+
+def _short_names(files: Sequence[str]) -> dict[str, str]:
+    """Stems where they tell the files apart, else the paths below the folder that all share."""
+    stems = {file: Path(file).stem for file in files}
+    if len(set(stems.values())) == len(files):
+        return stems
+    folder = os.path.commonpath([os.path.dirname(os.path.abspath(file)) for file in files])
+    return {file: os.path.relpath(os.path.abspath(file), folder) for file in files}

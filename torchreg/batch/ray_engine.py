@@ -1,0 +1,89 @@
+"""The batch engine on Ray, for one machine or a cluster: the same work, as tasks of Ray's scheduler.
+
+Ray starts a cluster of this machine by itself, or joins the one whose address is given. All its machines must see the
+clouds and the batch's folder under the same paths. A task whose process dies is tried again; no more tasks are handed
+over than the workers can soon take, so that thousands of pairs never sit in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from torchreg.batch.jobs import Job, load_and_compute
+from torchreg.batch.outcome import Outcome
+from torchreg.errors import at_least
+
+_RETRIES = 3
+_AHEAD = 2  # tasks in the scheduler's hands, for every worker
+
+
+class RayEngine:
+    """Ray's workers. To be closed when the batch is done.
+
+    Args:
+        workers: of a cluster that is started here; ``None`` as many as there are cores. Not for one that is joined.
+        address: of a cluster to join, such as ``"auto"`` or ``"ray://host:10001"``; ``None`` starts one.
+        device: where to compute.
+
+    Raises:
+        ValueError: Ray is not installed, or no cluster answers at the address.
+    """
+
+    def __init__(self, workers: int | None = None, address: str | None = None, device: str = "cpu") -> None:
+        try:
+            import ray
+        except ImportError:
+            raise ValueError(
+                '--engine ray: expected Ray, which pip install "torchreg-pointcloud[ray]" brings'
+            ) from None
+        self._ray, self._device = ray, device
+        self._started = not ray.is_initialized()
+        if self._started:
+            started = {} if address is not None else {"num_cpus": workers, "include_dashboard": False}
+            if workers is not None:
+                at_least(workers, "workers", 1)
+            try:
+                ray.init(address=address, log_to_driver=False, logging_level="ERROR", **started)
+            except (ConnectionError, RuntimeError, ValueError) as error:
+                raise ValueError(f"--ray-address: expected a cluster that answers, got {address!r} ({error})") from None
+        gpus = 0 if device == "cpu" else 1
+        self._task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=_RETRIES)(load_and_compute)
+
+    @property
+    def workers(self) -> int:
+        """How many items are worked on at once."""
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def run(self, job: Job, items: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
+        """As ``Engine``'s."""
+        handed: dict[Any, int] = {}
+        waiting = iter(range(len(items)))
+        try:
+            while True:
+                while len(handed) < _AHEAD * self.workers:
+                    place = next(waiting, None)
+                    if place is None:
+                        break
+                    handed[self._task.remote(job, self._device, items[place])] = place
+                if not handed:
+                    return
+                ready, _ = self._ray.wait(list(handed), num_returns=1)
+                for task in ready:
+                    yield handed.pop(task), self._value(task)
+        finally:  # whoever stops asking leaves nothing running
+            for task in handed:
+                self._ray.cancel(task, force=True)
+
+    def close(self) -> None:
+        """Leave the cluster, and end it where it was started here."""
+        if self._started:
+            self._ray.shutdown()
+
+    def _value(self, task: Any) -> Outcome:  # noqa: ANN401
+        try:
+            outcome: Outcome = self._ray.get(task)
+        except self._ray.exceptions.RayError as error:
+            first = str(error).strip().splitlines()[0]
+            return Outcome(None, f"its Ray worker died {_RETRIES + 1} times: {first}", expected=False)
+        return outcome

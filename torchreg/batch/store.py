@@ -1,0 +1,232 @@
+"""What a batch has done, on disk: every finished pair at once, so that a run that is cut off can go on.
+
+    DIR/run.json         what the run was told: a run of other options is refused
+    DIR/batch.sqlite     a row per finished pair, and what is known of the clouds
+    DIR/pairs/NAME.json  the whole result of one pair
+    DIR/described/       descriptions of clouds, where no other folder is named for them
+
+A pair counts as finished once its row is committed, and its file is written before that.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from datetime import datetime, timezone
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from torchreg.batch.clouds import CloudSource, Look
+from torchreg.batch.pairs import Pair
+from torchreg.batch.rows import Row
+from torchreg.batch.scales import Scale
+from torchreg.errors import expect
+from torchreg.io.atomic import atomic_write
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS pairs (
+    name TEXT PRIMARY KEY, state TEXT NOT NULL, said TEXT NOT NULL, options TEXT NOT NULL, digests TEXT NOT NULL,
+    line TEXT NOT NULL, seconds TEXT NOT NULL, finished TEXT NOT NULL, runs INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS clouds (
+    source TEXT NOT NULL, asked TEXT NOT NULL, stamp TEXT NOT NULL, look TEXT NOT NULL, scale TEXT,
+    PRIMARY KEY (source, asked)
+);
+CREATE TABLE IF NOT EXISTS work (stage TEXT PRIMARY KEY, seconds REAL NOT NULL);
+"""
+
+_FINISH = """
+INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UPDATE SET
+    state = excluded.state, said = excluded.said, options = excluded.options, digests = excluded.digests,
+    line = excluded.line, seconds = excluded.seconds, finished = excluded.finished, runs = runs + 1
+"""
+
+
+class Finished:
+    """A pair's row as it was committed.
+
+    Attributes:
+        state: as in ``Row``.
+        said: what the pair was, as one text.
+        options: that it was registered with, as one text.
+        digests: of both clouds.
+        line: of the table.
+        seconds: by stage.
+    """
+
+    def __init__(self, row: sqlite3.Row) -> None:
+        self.state: str = row["state"]
+        self.said: str = row["said"]
+        self.options: str = row["options"]
+        self.digests: tuple[str, str] = tuple(json.loads(row["digests"]))
+        self.line: dict[str, Any] = json.loads(row["line"])
+        self.seconds: dict[str, float] = json.loads(row["seconds"])
+
+
+class Store:
+    """The folder of one batch, held by one process at a time. To be used as a context.
+
+    Args:
+        folder: made where it does not exist; the folder above it must.
+        manifest: what the run was told, plain values by name.
+
+    Raises:
+        ValueError: the folder belongs to a run that was told something else, to something else, or another process
+            is at work in it.
+        OSError: it cannot be written.
+    """
+
+    def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
+        self.folder = folder
+        self._open(manifest)
+
+    def _open(self, manifest: Mapping[str, Any]) -> None:
+        expect(self.folder.absolute().parent.is_dir(), "--out", "a folder in one that exists", str(self.folder))
+        expect(not self.folder.exists() or self.folder.is_dir(), "--out", "a folder", f"the file {self.folder}")
+        known = self.folder / "run.json"
+        if self.folder.is_dir() and not known.exists():
+            others = sorted(path.name for path in self.folder.iterdir() if path.name not in (".lock", "pairs"))
+            expect(not others, "--out", "an empty folder, or one of a batch", f"{self.folder} with {others[:3]}")
+        self.folder.mkdir(exist_ok=True)
+        self._lock = FileLock(self.folder / ".lock")
+        try:
+            self._lock.acquire(timeout=0)
+        except Timeout:
+            raise ValueError(
+                f"--out: expected a folder without a run at work, got {self.folder}, which has one"
+            ) from None
+        try:
+            self._begin(known, manifest)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _begin(self, known: Path, manifest: Mapping[str, Any]) -> None:
+        if known.exists():
+            _same_run(known, manifest)
+        (self.folder / "pairs").mkdir(exist_ok=True)
+        self._database = sqlite3.connect(self.folder / "batch.sqlite")
+        self._database.row_factory = sqlite3.Row
+        with self._database:
+            self._database.executescript(_TABLES)
+        if not known.exists():
+            with atomic_write(known) as file:
+                file.write((json.dumps(manifest, indent=2) + "\n").encode())
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._database.close()
+        self._lock.release()
+
+    def finished(self) -> dict[str, Finished]:
+        """The pairs that have a row, by name."""
+        with closing(self._database.execute("SELECT * FROM pairs")) as rows:
+            return {row["name"]: Finished(row) for row in rows}
+
+    def runs(self) -> dict[str, int]:
+        """How often each pair with a row was finished; more than once where it was tried again."""
+        with closing(self._database.execute("SELECT name, runs FROM pairs")) as rows:
+            return {row["name"]: row["runs"] for row in rows}
+
+    def finish(self, pair: Pair, row: Row, options: str) -> None:
+        """Write the file of a pair and commit its row.
+
+        Raises:
+            OSError: it cannot be written; rows committed before stand.
+        """
+        if row.record is not None:
+            with atomic_write(self.folder / "pairs" / f"{pair.file_name}.json") as file:
+                file.write((json.dumps(row.record, indent=2, allow_nan=False) + "\n").encode())
+        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        values = (
+            row.name,
+            row.state,
+            said_of(pair),
+            options,
+            *map(json.dumps, (row.digests, row.table, row.seconds)),
+            now,
+        )
+        self._commit(_FINISH, [values])
+
+    def looks(self) -> dict[tuple[CloudSource, float | None], tuple[str, Look, Scale | None]]:
+        """What was seen of clouds: the stamp of the file then, the look, and the shared scale once it is known."""
+        with closing(self._database.execute("SELECT * FROM clouds")) as rows:
+            return {
+                (CloudSource(*json.loads(row["source"])), json.loads(row["asked"])): (
+                    row["stamp"],
+                    Look(*json.loads(row["look"])),
+                    None if row["scale"] is None else Scale(*json.loads(row["scale"])),
+                )
+                for row in rows
+            }
+
+    def keep_look(self, source: CloudSource, asked: float | None, stamp: str, look: Look) -> None:
+        """Keep what was seen of a cloud, in place of what was seen before."""
+        values = (json.dumps(source), json.dumps(asked), stamp, json.dumps(look))
+        self._commit("INSERT OR REPLACE INTO clouds VALUES (?, ?, ?, ?, NULL)", [values])
+
+    def keep_scales(self, scales: Mapping[tuple[CloudSource, float | None], Scale]) -> None:
+        """Keep the shared scales of all clouds, together."""
+        values = [
+            (json.dumps(scale), json.dumps(source), json.dumps(asked)) for (source, asked), scale in scales.items()
+        ]
+        self._commit("UPDATE clouds SET scale = ? WHERE source = ? AND asked = ?", values)
+
+    def add_work(self, stage: str, seconds: float) -> None:
+        """Count seconds of work that no pair alone is charged with."""
+        command = (
+            "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds"
+        )
+        self._commit(command, [(stage, seconds)])
+
+    def work(self) -> dict[str, float]:
+        """Seconds that no pair alone is charged with, by stage."""
+        with closing(self._database.execute("SELECT stage, seconds FROM work ORDER BY rowid")) as rows:
+            return {row["stage"]: row["seconds"] for row in rows}
+
+    def _commit(self, command: str, values: Sequence[tuple[Any, ...]]) -> None:
+        try:
+            with self._database:
+                self._database.executemany(command, values)
+        except sqlite3.OperationalError as error:  # a full disk, a file system that went away
+            raise OSError(f"{self.folder / 'batch.sqlite'}: {error}") from None
+
+
+def said_of(pair: Pair) -> str:
+    """What a pair was told, as one text."""
+    said = {
+        "source": pair.source_text,
+        "target": pair.target_text,
+        **pair.settings.flat(),
+        "truth": pair.truth,
+        **dict(pair.extra),
+    }
+    return json.dumps(said, sort_keys=True)
+
+
+def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """What two runs or pairs were told differently, in words; empty where nothing is."""
+    names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
+    return ", ".join(f"{name} {then.get(name)!r} there and {now.get(name)!r} now" for name in names)
+
+
+def _same_run(known: Path, manifest: Mapping[str, Any]) -> None:
+    try:
+        then = json.loads(known.read_text())
+        expect(isinstance(then, dict), str(known), "the options of a run", then)
+    except ValueError as error:
+        raise ValueError(f"{known}: expected the options of a run, got another file ({error})") from None
+    different = differences(then, manifest)
+    if different:
+        raise ValueError(
+            f"--out: expected a new folder or the options that {known.parent} was begun with, got {different}"
+        )

@@ -1,0 +1,105 @@
+"""What a batch came to: how many pairs are registered, how many of those with a truth are right, and the worst."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+from torchreg.batch.rows import BROKEN, REFUSED, REGISTERED, UNREADABLE
+
+_WORST = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Counts of pairs unless stated.
+
+    Attributes:
+        pairs: all.
+        registered: found and trusted.
+        refused: not trusted, each for its reason.
+        unreadable: a cloud could not be read.
+        broken: failed by a defect.
+        with_truth: whose transform is known.
+        recalled: of those, registered and right.
+        wrong_registered: of those, registered and wrong.
+        right_refused: of those, refused though the best pose was right.
+        rre_degrees: median over the recalled pairs; ``None`` without any.
+        rte_meters: likewise.
+        seconds: by stage, over all pairs, summed over workers.
+        worst: (name, what is wrong) of the pairs to look at first, the worst first: registered but wrong, failed,
+            refused, then registered ones of the least probability.
+    """
+
+    pairs: int
+    registered: int
+    refused: int
+    unreadable: int
+    broken: int
+    with_truth: int
+    recalled: int
+    wrong_registered: int
+    right_refused: int
+    rre_degrees: float | None
+    rte_meters: float | None
+    seconds: dict[str, float]
+    worst: tuple[tuple[str, str], ...]
+
+    @property
+    def recall(self) -> float | None:
+        """Share of the pairs with a truth that are registered and right."""
+        return self.recalled / self.with_truth if self.with_truth else None
+
+    def plain(self) -> dict[str, Any]:
+        """All fields, ready for JSON."""
+        return {**asdict(self), "recall": self.recall}
+
+
+def summarize(
+    lines: Sequence[Mapping[str, Any]], seconds: Sequence[Mapping[str, float]], work: Mapping[str, float]
+) -> Summary:
+    """Summarize the lines of a table, the times of their stages, and those that no pair alone is charged with."""
+    states = [line["state"] for line in lines]
+    known = [line for line in lines if line["found"] is not None]
+    right = [line for line in known if line["found"] and line["success"]]
+    total = dict(work)
+    for one in seconds:
+        for stage, spent in one.items():
+            total[stage] = total.get(stage, 0.0) + spent
+    worst = sorted(lines, key=_badness)[:_WORST]
+    return Summary(
+        pairs=len(lines),
+        registered=states.count(REGISTERED),
+        refused=states.count(REFUSED),
+        unreadable=states.count(UNREADABLE),
+        broken=states.count(BROKEN),
+        with_truth=len(known),
+        recalled=len(right),
+        wrong_registered=sum(line["success"] and not line["found"] for line in known),
+        right_refused=sum(line["found"] and not line["success"] for line in known),
+        rre_degrees=median(line["rre_degrees"] for line in right) if right else None,
+        rte_meters=median(line["rte_meters"] for line in right) if right else None,
+        seconds=total,
+        worst=tuple((line["name"], _trouble(line)) for line in worst),
+    )
+
+
+def _badness(line: Mapping[str, Any]) -> tuple[int, float]:
+    """What the worst pairs have least of."""
+    certainty = line["probability"] if line["probability"] is not None else (line["fitness"] or 0.0)
+    if line["success"] and line["found"] is False:
+        return 0, -(line["rte_meters"] or 0.0)
+    return [BROKEN, UNREADABLE, REFUSED, REGISTERED].index(line["state"]) + 1, certainty
+
+
+def _trouble(line: Mapping[str, Any]) -> str:
+    if line["success"] and line["found"] is False:
+        return f"registered, but wrong by {line['rre_degrees']:.3g} degrees and {line['rte_meters']:.3g} m"
+    if not line["success"]:
+        right = " (its best pose is right)" if line["found"] else ""
+        return f"{line['state']}: {line['reason']}{right}"
+    if line["probability"] is not None:
+        return f"registered, probability {line['probability']:.3f}"
+    return f"registered, fitness {line['fitness']:.3f}"
