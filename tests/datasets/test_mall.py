@@ -212,13 +212,12 @@ def test_bad_arguments(options, message):
 
 
 def test_scan_pair_refuses_what_it_cannot_hold(pair):
-    bare = Clouds(points=pair.source.points)
-    with pytest.raises(ValueError, match="source: expected a cloud with colors"):
-        ScanPair(bare, pair.target, pair.T_target_source, "x")
     with pytest.raises(ValueError, match="target: expected one cloud, got '2 clouds'"):
         ScanPair(pair.source, Clouds.pack([pair.target, pair.target]), pair.T_target_source, "x")
     with pytest.raises(ValueError, match="T_target_source: expected float64"):
         ScanPair(pair.source, pair.target, pair.T_target_source.float(), "x")
+    with pytest.raises(ValueError, match=r"information: expected \(6, 6\), got \(4, 4\)"):
+        ScanPair(pair.source, pair.target, pair.T_target_source, "x", pair.T_target_source)
 
 
 def test_rays_meet_the_solids_where_geometry_says():

@@ -1,4 +1,4 @@
-"""Scan pairs and correspondence problems with known truth.
+"""Scan pairs and correspondence problems with known truth: simulated, or from files for a ``DataLoader``.
 
 Example:
     >>> from torchreg.datasets import mall
@@ -6,8 +6,23 @@ Example:
     'mall-3'
 """
 
+from torchreg.datasets.cloud_files import CloudFiles, CloudReader
+from torchreg.datasets.fragments import Fragments
 from torchreg.datasets.mall import mall
 from torchreg.datasets.matches import MatchProblem, match_problem
 from torchreg.datasets.pair import ScanPair
+from torchreg.datasets.pair_batch import ScanPairBatch, pack_pairs
+from torchreg.datasets.scan_pairs import ScanPairs
 
-__all__ = ["MatchProblem", "ScanPair", "mall", "match_problem"]
+__all__ = [
+    "CloudFiles",
+    "CloudReader",
+    "Fragments",
+    "MatchProblem",
+    "ScanPair",
+    "ScanPairBatch",
+    "ScanPairs",
+    "mall",
+    "match_problem",
+    "pack_pairs",
+]
