@@ -1,6 +1,8 @@
 """A dataset over a table: an item is what reading its files gives, and batches are their items."""
 
 import pickle
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -74,6 +76,13 @@ def test_changing_an_item_leaves_the_dataset_alone(table):
 def test_dataset_goes_through_pickle(table):
     dataset = ScanPairs(table, voxel_size=0.3)
     assert same_bits(tuple(pickle.loads(pickle.dumps(dataset))), tuple(dataset))
+
+
+def test_reading_needs_no_open3d(table):
+    code = "import sys; sys.modules['open3d'] = None; from torchreg.datasets import *; "
+    code += "print(pack_pairs(list(ScanPairs(sys.argv[1], voxel_size=0.3))).names)"
+    run = subprocess.run([sys.executable, "-c", code, str(table)], capture_output=True, text=True, check=False)
+    assert run.stdout.strip() == "('0__1', '1__2', '2__3')", run.stderr
 
 
 @pytest.mark.parametrize("context", [None, "fork", "spawn", "forkserver"])
