@@ -10,7 +10,7 @@ from problems import matched, random_rotation
 
 import torchreg as tr
 from torchreg.datasets import match_problem
-from torchreg.hypotheses.distinct import pose_vectors, spread_out
+from torchreg.hypotheses.distinct import pose_vectors, spread_out, spread_out_pairs
 from torchreg.hypotheses.proposals import APART, POSES, Proposals
 from torchreg.ransac import ransac_poses
 
@@ -44,6 +44,22 @@ def test_the_choice_is_the_greedy_one(seed, count, radius, most):
         if len(chosen) < most and not any(near):
             chosen.append(h)
     assert spread_out(vectors, radius, most).tolist() == chosen
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**31), st.lists(st.integers(0, 40), min_size=1, max_size=6), st.integers(1, 9))
+def test_the_choice_among_several_pairs_is_that_among_each(seed, counts, most):
+    generator = torch.Generator().manual_seed(seed)
+    each = [torch.randn(12, count, generator=generator) / 2 for count in counts]
+    radii = [0.5 * (place + 1) for place in range(len(counts))]
+    pair = torch.arange(len(counts)).repeat_interleave(torch.tensor(counts))
+    begins = [0, *torch.tensor(counts).cumsum(0).tolist()]
+    expected = [
+        begin + place
+        for begin, vectors, radius in zip(begins, each, radii, strict=False)
+        for place in spread_out(vectors, radius, most).tolist()
+    ]
+    assert spread_out_pairs(torch.cat(each, dim=1), pair, radii, most).tolist() == expected
 
 
 def test_a_dominating_mode_does_not_push_out_another():
@@ -102,11 +118,11 @@ def test_proposals_keep_the_best_in_their_order(monkeypatch):
     counts = torch.randint(40, (300,), generator=torch.Generator().manual_seed(1)).float()
     expected = sorted(range(300), key=lambda h: (-counts[h], h))[:20]
     monkeypatch.setattr("torchreg.hypotheses.proposals._STORED", 30)
-    proposals = Proposals(torch.device("cpu"))
+    proposals = Proposals(torch.device("cpu"), torch.float64)
     for begin in range(0, 300, 50):
         part = slice(begin, begin + 50)
         proposals.add(rotation[..., part], translation[:, part], counts[part])
     best_rotation, best_translation = proposals.best(20)
     assert proposals.total == 300
-    assert close(best_translation, translation[:, expected], atol=1e-12)
-    assert close(best_rotation, rotation[..., expected], atol=1e-12)
+    assert torch.equal(best_translation, translation[:, expected])
+    assert torch.equal(best_rotation, rotation[..., expected])

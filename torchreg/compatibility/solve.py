@@ -1,4 +1,4 @@
-"""The poses of one pair by compatibility: nodes -> graph -> sets -> fit -> score -> refine."""
+"""The hypotheses of one pair by compatibility: nodes -> graph -> sets -> fit -> count."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from torchreg.compatibility.graph import first_order
 from torchreg.compatibility.nodes import choose_nodes
 from torchreg.compatibility.sets import consensus_sets, fit_sets
-from torchreg.hypotheses import QUALITIES, Found, MatchedPoints, Proposals, distinct_poses, proposal_dtype
+from torchreg.hypotheses import Found, MatchedPoints, Proposals, proposal_dtype
 from torchreg.hypotheses.scoring import correspondence_vectors, propose_counts
 from torchreg.types import CompatibilityOptions
 
@@ -17,7 +17,7 @@ LEAST = 3
 
 
 def solve(points: MatchedPoints, options: CompatibilityOptions) -> Found:
-    """Find the poses that consensus sets give.
+    """Find the transforms that consensus sets give.
 
     Args:
         points: of one pair.
@@ -41,12 +41,9 @@ def solve(points: MatchedPoints, options: CompatibilityOptions) -> Found:
     dtype = proposal_dtype(source, target, threshold)
     rotation, translation = rotation[..., passed], translation[:, passed]
     near = (rotation.to(dtype), translation.to(dtype))
-    proposals = Proposals(source.device)
+    proposals = Proposals(source.device, dtype)
     proposals.add(*near, propose_counts(*near, correspondence_vectors(source.to(dtype), target.to(dtype)), threshold))
-    poses = distinct_poses(
-        proposals, source, target, threshold, options.local_optimization, QUALITIES[options.scoring]
-    )
-    return Found(poses, len(nodes), len(filled), len(passed), "")
+    return Found(proposals, len(nodes), len(filled), len(passed), "")
 
 
 def _length_dtype(source: Tensor, target: Tensor, threshold: float) -> torch.dtype:

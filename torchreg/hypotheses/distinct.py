@@ -10,10 +10,13 @@ the squared distance of two vectors of 12 numbers, (R S^(1/2), R c + t): no poin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import stable_sum
+from torchreg.hypotheses.points import PairPoints, first_of_each
+from torchreg.hypotheses.sums import row_sums
 
 
 def pose_vectors(rotation: Tensor, translation: Tensor, source: Tensor) -> Tensor:
@@ -21,12 +24,14 @@ def pose_vectors(rotation: Tensor, translation: Tensor, source: Tensor) -> Tenso
 
     Made by elementwise operations, so that a pose has its bits whatever stands beside it.
     """
-    mean, root = _moments(source)
-    mean, root = mean.to(rotation), root.to(rotation)
-    columns = [*root.unbind(dim=1), mean]  # four directions (3,)
-    rotated = [rotation[:, 0] * x + rotation[:, 1] * y + rotation[:, 2] * z for x, y, z in columns]  # (3, H) each
-    rotated[3] = rotated[3] + translation
-    return torch.cat(rotated)
+    mean, root = _moments(source[:, None], torch.ones_like(source[:1], dtype=torch.bool), [source.shape[1]])
+    return _vectors(rotation, translation, mean.to(rotation), root.to(rotation))
+
+
+def pose_vectors_of_pairs(rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints) -> Tensor:
+    """``pose_vectors`` of poses of the pairs ``pair`` (H,), each over its own pair's source points."""
+    mean, root = _moments(points.source, points.valid, points.counts)
+    return _vectors(rotation, translation, mean.to(rotation)[:, pair], root.to(rotation)[..., pair])
 
 
 def spread_out(vectors: Tensor, radius: float, count: int) -> Tensor:
@@ -40,24 +45,59 @@ def spread_out(vectors: Tensor, radius: float, count: int) -> Tensor:
     Returns:
         (K,) int64 places, ascending.
     """
+    one_pair = torch.zeros(vectors.shape[1], dtype=torch.int64, device=vectors.device)
+    return spread_out_pairs(vectors, one_pair, [radius], count)
+
+
+def spread_out_pairs(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int) -> Tensor:
+    """``spread_out`` of the poses of each pair by themselves, all pairs in step.
+
+    Args:
+        vectors: (12, H), those of a pair together, best first.
+        pair: (H,) int64, ascending.
+        radii: meters, of each pair.
+        count: how many at most of each pair.
+
+    Returns:
+        (K,) int64 places, ascending.
+    """
+    limits = torch.tensor([radius * radius for radius in radii], dtype=torch.float64).to(vectors)
     place = torch.arange(vectors.shape[1], device=vectors.device)
-    chosen: list[Tensor] = []
-    while len(place) > 0 and len(chosen) < count:
-        chosen.append(place[:1])
-        square = torch.zeros_like(vectors[0])
-        for row in vectors:
-            difference = row - row[0]
-            square += difference * difference
-        apart = square > radius * radius
-        place, vectors = place[apart], vectors[:, apart]
-    return torch.cat(chosen) if chosen else place
+    chosen = [place[:0]]
+    for _ in range(count):
+        if len(place) == 0:
+            break
+        first = first_of_each(pair)
+        chosen.append(place[first])
+        difference = vectors - vectors[:, first][:, first.cumsum(dim=0) - 1]
+        apart = (_square(difference) > limits[pair]).nonzero()[:, 0]
+        place, pair, vectors = place[apart], pair[apart], vectors[:, apart]
+    return torch.cat(chosen).sort().values
 
 
-def _moments(source: Tensor) -> tuple[Tensor, Tensor]:
-    """The mean (3,) and a root (3, 3) of the covariance of points (3, M)."""
-    count = max(1, source.shape[1])
-    mean = stable_sum(source.t()) / count
-    moved = source - mean[:, None]
-    products = (moved[:, None] * moved[None]).reshape(9, -1)
-    values, vectors = torch.linalg.eigh((stable_sum(products.t()) / count).reshape(3, 3))
-    return mean, vectors * values.clamp(min=0).sqrt()
+def _square(difference: Tensor) -> Tensor:
+    """Squared lengths (H,) of vectors (12, H), which it overwrites; terms are added in their order."""
+    difference.mul_(difference)
+    total = difference[0]
+    for row in difference[1:]:
+        total += row
+    return total
+
+
+def _vectors(rotation: Tensor, translation: Tensor, mean: Tensor, root: Tensor) -> Tensor:
+    """From means (3,) or (3, H) and roots of covariances (3, 3) or (3, 3, H)."""
+    columns = [*root.unbind(dim=1), mean]  # four directions
+    rotated = [rotation[:, 0] * x + rotation[:, 1] * y + rotation[:, 2] * z for x, y, z in columns]  # (3, H) each
+    rotated[3] = rotated[3] + translation
+    return torch.cat(rotated)
+
+
+def _moments(source: Tensor, valid: Tensor, counts: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """The means (3, B) and roots (3, 3, B) of the covariances of points (3, B, M), where valid (B, M)."""
+    count = torch.tensor([max(1, number) for number in counts], dtype=source.dtype, device=source.device)
+    mean = row_sums(source) / count
+    moved = torch.where(valid, source - mean[..., None], 0.0)
+    products = row_sums((moved[:, None] * moved[None]).flatten(0, 1)) / count  # (9, B)
+    values, vectors = torch.linalg.eigh(products.t().reshape(-1, 3, 3))
+    root = vectors * values.clamp(min=0).sqrt()[:, None]
+    return mean, root.permute(1, 2, 0)

@@ -1,40 +1,31 @@
-"""What a solver is given and what it hands back, for one pair; and a pair's poses in the frames of its clouds."""
+"""What a solver hands back for one pair, and a pair's poses in the frames of its clouds."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
+from torchreg.geometry.se3 import apply_rotation
+from torchreg.hypotheses.group import Group
+from torchreg.hypotheses.proposals import Proposals
 from torchreg.hypotheses.refine import Scored
-
-
-class MatchedPoints(NamedTuple):
-    """The correspondences of one pair, as a solver takes them.
-
-    Attributes:
-        source: (3, M) float64, meters, about the mean of the matched points.
-        target: (3, M) float64, likewise.
-        seed: of this pair, made from the call's seed and the correspondences.
-    """
-
-    source: Tensor
-    target: Tensor
-    seed: int
 
 
 class Found(NamedTuple):
     """The outcome of a solver.
 
     Attributes:
-        poses: distinct poses, best first; ``None`` when there is none.
+        proposals: hypotheses with their proposed counts; ``None`` when there is none.
         drawn: hypotheses begun: samples drawn, or seeds.
         kept: those that passed the first test: of edge lengths, or of having partners enough.
         scored: poses scored on all correspondences.
-        reason: why there is no pose, else empty.
+        reason: why there is no hypothesis, else empty.
     """
 
-    poses: Scored | None
+    proposals: Proposals | None
     drawn: int
     kept: int
     scored: int
@@ -67,3 +58,24 @@ class PairPoses(NamedTuple):
     kept: int
     scored: int
     reason: str
+
+
+def no_pose(found: Found, matches: int, device: torch.device) -> PairPoses:
+    """Of a pair with so many matches and no hypothesis."""
+    empty = torch.zeros(0, dtype=torch.float64, device=device)
+    inliers = torch.zeros(0, matches, dtype=torch.bool, device=device)
+    return PairPoses(empty.reshape(0, 3, 3), empty.reshape(0, 3), inliers, empty.long(), empty, *found[1:])
+
+
+def pair_poses(scored: Scored, group: Group, found: Sequence[Found]) -> Iterator[PairPoses]:
+    """The poses of every pair of a group, from hypotheses pair by pair about the means of the points."""
+    R = scored.rotation.permute(2, 0, 1).contiguous()  # (H, 3, 3)
+    t = scored.translation.t() + group.target_center[scored.pair]
+    t = t - apply_rotation(R, group.source_center[scored.pair])
+    lengths = torch.bincount(scored.pair, minlength=len(found)).tolist()
+    rotations, translations, inliers, supports, errors = (
+        part.split(lengths) for part in (R, t, scored.inliers, scored.support, scored.error)
+    )
+    for place, (matches, outcome) in enumerate(zip(group.points.counts, found, strict=True)):
+        inside = inliers[place][:, :matches].contiguous()
+        yield PairPoses(rotations[place], translations[place], inside, supports[place], errors[place], *outcome[1:])

@@ -1,25 +1,35 @@
-"""One loop over the pairs of a batch, for any solver."""
+"""The pairs of a batch, for any solver: hypotheses pair by pair, and what becomes of them for many pairs together.
+
+A tensor operation on a few hundred matches costs more than its arithmetic. So pairs with similar numbers of matches
+are centered, scored and refitted in groups, whose size is bounded by memory and does not show in any result.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import torch
-from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.geometry.chunks import stable_sum
-from torchreg.geometry.se3 import apply_rotation
-from torchreg.hypotheses.found import Found, MatchedPoints, PairPoses
-from torchreg.hypotheses.seeds import pair_seed
-from torchreg.types import Clouds, Correspondences
-from torchreg.types.packing import spans
+from torchreg.hypotheses.checks import check_matches, refusals
+from torchreg.hypotheses.found import Found, PairPoses, no_pose, pair_poses
+from torchreg.hypotheses.group import Group, gather_group
+from torchreg.hypotheses.points import MatchedPoints
+from torchreg.hypotheses.proposals import distinct_poses
+from torchreg.hypotheses.refine import QUALITIES
+from torchreg.types import Clouds, CompatibilityOptions, Correspondences, RansacOptions
 
-Options = TypeVar("Options")
+AnyOptions = TypeVar("AnyOptions")
+Options = TypeVar("Options", RansacOptions, CompatibilityOptions)
+
+_GROUP_MATCHES = 1 << 16  # of a group's pairs, at the width of the longest
+_GROUP_HYPOTHESES = 1 << 18  # that wait to be scored together
 
 
-def one_per_pair(options: Options | Sequence[Options] | None, default: Options, pairs: int) -> list[Options]:
+def one_per_pair(
+    options: AnyOptions | Sequence[AnyOptions] | None, default: AnyOptions, pairs: int
+) -> list[AnyOptions]:
     """Options for every pair, from one for all, one per pair, or ``None`` for the default."""
     if not isinstance(options, Sequence):
         return [default if options is None else options] * pairs
@@ -43,7 +53,7 @@ def poses_of_pairs(
         source: B clouds.
         target: B clouds.
         matches: correspondences between them, global rows.
-        solve: from the matched points of one pair and its options to distinct poses.
+        solve: from the matched points of one pair and its options to hypotheses.
         options: one per pair.
         least: matches that the solver needs, per pair.
         seed: of the call.
@@ -54,60 +64,63 @@ def poses_of_pairs(
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
     """
-    pairs = len(matches)
-    expect(len(source) == pairs and len(target) == pairs, "matches", f"{len(source)} pairs", pairs)
-    expect(len(target) == len(source), "target", f"{len(source)} clouds, as the source has", len(target))
-    _check_rows(matches.source, source, matches.offsets, "matches.source")
-    _check_rows(matches.target, target, matches.offsets, "matches.target")
-    found = []
-    for b, (begin, end) in enumerate(spans(matches.offsets)):
-        refused = _refusal(source.select(b), target.select(b), end - begin, least[b])
+    check_matches(source, target, matches)
+    counts = matches.offsets.diff().tolist()
+    found: dict[int, PairPoses] = {}
+    solvable = []
+    for b, refused in enumerate(refusals(source, target, matches, least)):
         if refused:
-            found.append(_no_pose(Found(None, 0, 0, 0, refused), end - begin, source.device))
+            found[b] = no_pose(Found(None, 0, 0, 0, refused), counts[b], source.device)
         else:
-            found.append(_solve_pair(source, target, matches, b, solve, options[b], seed))
-    return found
+            solvable.append(b)
+    for members in _groups(sorted(solvable, key=counts.__getitem__), counts):
+        thresholds = [options[b].inlier_threshold for b in members]
+        group = gather_group(source, target, matches, members, thresholds, seed)
+        for place, poses in _solve_group(group, solve, [options[b] for b in members]):
+            found[members[place]] = poses
+    return [found[b] for b in range(len(matches))]
 
 
-def _refusal(source: Clouds, target: Clouds, matches: int, least: int) -> str:
-    if matches < least:
-        return f"too few matches: {matches}, and a sample needs {least}"
-    if not bool(torch.isfinite(source.points).all() & torch.isfinite(target.points).all()):
-        return "points that are not finite"
-    return ""
+def _groups(pairs: Sequence[int], counts: Sequence[int]) -> Iterator[list[int]]:
+    """Runs of pairs, ascending by their numbers of matches, that fit into ``_GROUP_MATCHES``."""
+    group: list[int] = []
+    for b in pairs:
+        if group and (len(group) + 1) * counts[b] > _GROUP_MATCHES:
+            yield group
+            group = []
+        group.append(b)
+    if group:
+        yield group
 
 
-def _solve_pair(
-    source: Clouds,
-    target: Clouds,
-    matches: Correspondences,
-    b: int,
-    solve: Callable[[MatchedPoints, Options], Found],
-    options: Options,
-    seed: int,
-) -> PairPoses:
-    begin, end = spans(matches.offsets)[b]
-    rows_p, rows_q = matches.source[begin:end], matches.target[begin:end]
-    p, q = source.points[rows_p].double(), target.points[rows_q].double()  # (M, 3)
-    center_p, center_q = stable_sum(p) / len(p), stable_sum(q) / len(q)
-    own = pair_seed(seed, rows_p - int(source.offsets[b]), rows_q - int(target.offsets[b]))
-    centered = ((p - center_p).t().contiguous(), (q - center_q).t().contiguous())
-    found = solve(MatchedPoints(*centered, own), options)
-    if found.poses is None:
-        return _no_pose(found, end - begin, source.device)
-    R = found.poses.rotation.permute(2, 0, 1).contiguous()  # (H, 3, 3)
-    t = found.poses.translation.t() + center_q - apply_rotation(R, center_p)
-    return PairPoses(R, t, found.poses.inliers, found.poses.support, found.poses.error, *found[1:])
+def _solve_group(
+    group: Group, solve: Callable[[MatchedPoints, Options], Found], options: Sequence[Options]
+) -> Iterator[tuple[int, PairPoses]]:
+    """The places of the pairs in the group, and their poses, as they come."""
+    waiting: dict[int, Found] = {}
+    stored = 0
+    for place, own in enumerate(options):
+        found = solve(group.pair(place), own)
+        if found.proposals is None:
+            yield place, no_pose(found, group.points.counts[place], group.points.source.device)
+            continue
+        waiting[place] = found
+        stored += found.proposals.stored
+        if stored > _GROUP_HYPOTHESES:
+            yield from _refine(group, waiting, options)
+            waiting, stored = {}, 0
+    yield from _refine(group, waiting, options)
 
 
-def _no_pose(found: Found, matches: int, device: torch.device) -> PairPoses:
-    empty = torch.zeros(0, dtype=torch.float64, device=device)
-    inliers = torch.zeros(0, matches, dtype=torch.bool, device=device)
-    return PairPoses(empty.reshape(0, 3, 3), empty.reshape(0, 3), inliers, empty.long(), empty, *found[1:])
-
-
-def _check_rows(rows: Tensor, clouds: Clouds, offsets: Tensor, name: str) -> None:
-    for (begin, end), (first, last) in zip(spans(offsets), spans(clouds.offsets), strict=True):
-        own = rows[begin:end]
-        legal = begin == end or bool(((own >= first) & (own < last)).all())
-        expect(legal, name, f"rows from {first} to {last - 1} in this pair", own)
+def _refine(group: Group, waiting: dict[int, Found], options: Sequence[Options]) -> Iterator[tuple[int, PairPoses]]:
+    """The distinct poses of pairs with hypotheses; those that are treated alike go together."""
+    alike: dict[tuple[torch.dtype, int, str], list[int]] = {}
+    for place, found in waiting.items():
+        if found.proposals is not None:
+            own = options[place]
+            alike.setdefault((found.proposals.dtype, own.local_optimization, own.scoring), []).append(place)
+    for (_, rounds, scoring), places in alike.items():
+        part, solved = group.take(places), [waiting[place] for place in places]
+        proposals = [found.proposals for found in solved if found.proposals is not None]
+        scored = distinct_poses(proposals, part.points, rounds, QUALITIES[scoring])
+        yield from zip(places, pair_poses(scored, part, solved), strict=True)

@@ -1,4 +1,4 @@
-"""All hypotheses of one pair with their proposed counts, and the poses that come of them.
+"""All hypotheses of a pair with their proposed counts, and the poses that come of them, for many pairs together.
 
 One dominating mode must not push out the others: the best of a wrong symmetry may be the best but one by far less
 than the hypotheses around the best are. So beside the ``LEADERS`` with the highest counts, hypotheses are taken from
@@ -8,10 +8,13 @@ again those that lie apart are kept.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from torchreg.hypotheses.distinct import pose_vectors, spread_out
+from torchreg.hypotheses.distinct import pose_vectors_of_pairs, spread_out_pairs
+from torchreg.hypotheses.points import PairPoints, ranks
 from torchreg.hypotheses.refine import Quality, Scored, best_first, optimize, score
 
 POSES = 16
@@ -34,12 +37,17 @@ _STORED = 1 << 17
 class Proposals:
     """Hypotheses as they come, in the order of their proposed counts, ties to the earlier one."""
 
-    def __init__(self, device: torch.device) -> None:
+    def __init__(self, device: torch.device, dtype: torch.dtype) -> None:
         self.total = 0
-        self._rotation = [torch.empty(3, 3, 0, device=device)]
-        self._translation = [torch.empty(3, 0, device=device)]
+        self.stored = 0
+        self._rotation = [torch.empty(3, 3, 0, device=device, dtype=dtype)]
+        self._translation = [torch.empty(3, 0, device=device, dtype=dtype)]
         self._key = [torch.empty(0, dtype=torch.int64, device=device)]
-        self._stored = 0
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of the hypotheses."""
+        return self._rotation[0].dtype
 
     def add(self, rotation: Tensor, translation: Tensor, proposed: Tensor) -> None:
         """Enter hypotheses (3, 3, H), (3, H) with proposed counts (H,)."""
@@ -48,22 +56,15 @@ class Proposals:
         self._translation.append(translation)
         self._key.append(proposed.long() * (1 << 40) - number)  # distinct, so that their order is one only
         self.total += len(proposed)
-        self._stored += len(proposed)
-        if self._stored > 2 * _STORED:
+        self.stored += len(proposed)
+        if self.stored > 2 * _STORED:
             self._keep(_STORED)
 
     def best(self, count: int) -> tuple[Tensor, Tensor]:
-        """Rotations (3, 3, F), made orthonormal to float64, and translations (3, F), best first."""
+        """Rotations (3, 3, F) and translations (3, F), best first."""
         rotation, translation, key = self._all()
         top = key.topk(min(count, len(key))).indices
-        return orthonormal(rotation[..., top].double()), translation[:, top].double()
-
-    def apart(self, source: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-        """Up to ``_SPREAD`` of them that put ``source`` (3, M) more than ``radius`` apart, as ``best``."""
-        self._keep(self._stored)
-        rotation, translation, _ = self._all()
-        top = spread_out(pose_vectors(rotation, translation, source), radius, _SPREAD)
-        return orthonormal(rotation[..., top].double()), translation[:, top].double()
+        return rotation[..., top], translation[:, top]
 
     def _all(self) -> tuple[Tensor, Tensor, Tensor]:
         return torch.cat(self._rotation, dim=-1), torch.cat(self._translation, dim=-1), torch.cat(self._key)
@@ -72,35 +73,40 @@ class Proposals:
         rotation, translation, key = self._all()
         top = key.topk(min(count, len(key))).indices
         self._rotation, self._translation, self._key = [rotation[..., top]], [translation[:, top]], [key[top]]
-        self._stored = len(top)
+        self.stored = len(top)
 
 
-def distinct_poses(
-    proposals: Proposals, source: Tensor, target: Tensor, threshold: float, rounds: int, quality: Quality
-) -> Scored:
-    """The distinct poses of all proposals, best first, each refitted to its inliers at most ``rounds`` times.
+def distinct_poses(proposals: Sequence[Proposals], points: PairPoints, rounds: int, quality: Quality) -> Scored:
+    """The distinct poses of all proposals of every pair, best first, each refitted at most ``rounds`` times.
 
     Args:
-        proposals: at least one hypothesis.
-        source: (3, M) float64, meters.
-        target: (3, M) float64.
-        threshold: meters, of an inlier.
+        proposals: of each pair at least one hypothesis, all of one dtype.
+        points: of the same pairs.
         rounds: of local optimization.
         quality: what they are compared by.
     """
-    leaders = score(*proposals.best(LEADERS), source, target, threshold, quality)
-    leaders = leaders.take(best_first(leaders)[:OPTIMIZED])
-    others = score(*proposals.apart(source, APART * threshold), source, target, threshold, quality)
-    poses = optimize(leaders.join(others), source, target, threshold, min(rounds, _FIRST_ROUNDS), quality)
-    poses = _distinct(poses, source, threshold)
-    poses = optimize(poses, source, target, threshold, rounds - _FIRST_ROUNDS, quality)
-    return _distinct(poses, source, threshold)
+    sides = [each.best(each.stored) for each in proposals]
+    rotation, translation = (torch.cat(side, dim=-1) for side in zip(*sides, strict=True))
+    lengths = torch.tensor([each.stored for each in proposals], device=rotation.device)
+    pair = torch.arange(len(lengths), device=rotation.device).repeat_interleave(lengths)
+    radii = [APART * threshold for threshold in points.thresholds]
 
+    def exact(places: Tensor) -> Scored:
+        turned = orthonormal(rotation[..., places].double())
+        return score(turned, translation[:, places].double(), pair[places], points, quality)
 
-def _distinct(poses: Scored, source: Tensor, threshold: float) -> Scored:
-    poses = poses.take(best_first(poses))
-    vectors = pose_vectors(poses.rotation, poses.translation, source)
-    return poses.take(spread_out(vectors, APART * threshold, POSES))
+    def distinct(poses: Scored) -> Scored:
+        poses = poses.take(best_first(poses))
+        vectors = pose_vectors_of_pairs(poses.rotation, poses.translation, poses.pair, points)
+        return poses.take(spread_out_pairs(vectors, poses.pair, radii, POSES))
+
+    leaders = exact((ranks(pair) < LEADERS).nonzero()[:, 0])
+    leaders = leaders.take(best_first(leaders))
+    leaders = leaders.take((ranks(leaders.pair) < OPTIMIZED).nonzero()[:, 0])
+    vectors = pose_vectors_of_pairs(rotation, translation, pair, points)
+    others = exact(spread_out_pairs(vectors, pair, radii, _SPREAD))
+    poses = distinct(optimize(leaders.join(others), points, min(rounds, _FIRST_ROUNDS), quality))
+    return distinct(optimize(poses, points, rounds - _FIRST_ROUNDS, quality))
 
 
 def orthonormal(rotation: Tensor) -> Tensor:

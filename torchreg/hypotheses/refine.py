@@ -1,4 +1,4 @@
-"""The best hypotheses, scored exactly and refitted to their inliers.
+"""The best hypotheses, scored exactly and refitted to their inliers; those of many pairs together.
 
 Local optimization as in LO-RANSAC (Chum, Matas and Kittler, DAGM 2003, doi:10.1007/978-3-540-45243-0_31), its
 plain form: fit to the inliers, score again, and go on while the quality grows, or the error falls at equal quality.
@@ -12,11 +12,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import row_chunks, stable_sum
-from torchreg.geometry.kabsch import from_moments
+from torchreg.geometry.chunks import row_chunks
+from torchreg.hypotheses.fit import fit
+from torchreg.hypotheses.points import PairPoints
 from torchreg.hypotheses.scoring import residuals
+from torchreg.hypotheses.sums import BLOCK, RowSums
 
-_SCORE_ELEMENTS = 1 << 20  # 8 MB of float64 a temporary
+_SCORE_ELEMENTS = 1 << 16  # half a megabyte of float64 a temporary: they stay in the cache
 
 
 class Scored(NamedTuple):
@@ -25,7 +27,8 @@ class Scored(NamedTuple):
     Attributes:
         rotation: (3, 3, H).
         translation: (3, H).
-        inliers: (H, M) bool.
+        pair: (H,) int64, whose hypothesis it is.
+        inliers: (H, M) bool, M being that of the longest pair.
         support: (H,) int64, the number of inliers.
         error: (H,) sum of squared residuals of the inliers, square meters.
         quality: (H,) float64, what hypotheses are compared by: the higher, the better.
@@ -33,6 +36,7 @@ class Scored(NamedTuple):
 
     rotation: Tensor
     translation: Tensor
+    pair: Tensor
     inliers: Tensor
     support: Tensor
     error: Tensor
@@ -43,109 +47,77 @@ class Scored(NamedTuple):
         return Scored(*(part[..., index] for part in self[:2]), *(part[index] for part in self[2:]))
 
     def join(self, other: Scored) -> Scored:
-        """These hypotheses, and then the others."""
+        """Of every pair these hypotheses, and then the others."""
         first = [torch.cat(parts, dim=-1) for parts in zip(self[:2], other[:2], strict=True)]
-        return Scored(*first, *(torch.cat(parts) for parts in zip(self[2:], other[2:], strict=True)))
+        both = Scored(*first, *(torch.cat(parts) for parts in zip(self[2:], other[2:], strict=True)))
+        return both.take(both.pair.sort(stable=True).indices)
 
-    def put(self, index: Tensor, other: Scored) -> Scored:
-        """A copy with the K hypotheses ``other`` at the places ``index`` (K,)."""
-        first = [mine.index_copy(-1, index, new) for mine, new in zip(self[:2], other[:2], strict=True)]
-        return Scored(*first, *(mine.index_copy(0, index, new) for mine, new in zip(self[2:], other[2:], strict=True)))
+    def put(self, index: Tensor, other: Scored) -> None:
+        """Overwrite the hypotheses at the places ``index`` (K,) by K others."""
+        for mine, new in zip(self[:2], other[:2], strict=True):
+            mine.index_copy_(-1, index, new)
+        for mine, new in zip(self[2:], other[2:], strict=True):
+            mine.index_copy_(0, index, new)
 
 
-Quality = Callable[[Tensor, Tensor, float], Tensor]
-"""From support (H,), error (H,) and threshold to quality (H,)."""
+Quality = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""From support (H,), error (H,) and squared threshold (H,) to quality (H,)."""
 
 
-def by_count(support: Tensor, error: Tensor, threshold: float) -> Tensor:
+def by_count(support: Tensor, error: Tensor, limit: Tensor) -> Tensor:
     """The number of inliers (RANSAC)."""
     return support.double()
 
 
-def by_msac(support: Tensor, error: Tensor, threshold: float) -> Tensor:
+def by_msac(support: Tensor, error: Tensor, limit: Tensor) -> Tensor:
     """The sum of 1 - (residual / threshold)^2 over the inliers: a close one counts for more than one at the threshold.
 
     MSAC: Torr and Zisserman, CVIU 78(1), 2000, doi:10.1006/cviu.1999.0832.
     """
-    return support.double() - error / (threshold * threshold)
+    return support.double() - error / limit
 
 
 QUALITIES: dict[str, Quality] = {"count": by_count, "msac": by_msac}
 
 
 def score(
-    rotation: Tensor,
-    translation: Tensor,
-    source: Tensor,
-    target: Tensor,
-    threshold: float,
-    quality: Quality = by_count,
+    rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints, quality: Quality = by_count
 ) -> Scored:
-    """Score hypotheses exactly: residual below the threshold, summed in a fixed order."""
-    parts = [
-        _score(rotation[..., rows], translation[:, rows], source, target, threshold)
-        for rows in row_chunks(translation.shape[1], source.shape[1], _SCORE_ELEMENTS)
-    ]
-    inliers = torch.cat([source.new_zeros(0, source.shape[1], dtype=torch.bool), *(part[0] for part in parts)])
-    error = torch.cat([source.new_zeros(0), *(part[1] for part in parts)])
+    """Score hypotheses of the pairs ``pair`` (H,) exactly: residual below the threshold, summed in a fixed order."""
+    columns, limit = points.source.shape[2], points.squared_thresholds()[pair]
+    inliers = points.valid.new_empty(len(pair), columns)
+    error = torch.empty_like(limit)
+    pieces = list(row_chunks(len(pair), -(-columns // BLOCK) * BLOCK, _SCORE_ELEMENTS))
+    sums = RowSums(pieces[0].stop if pieces else 0, columns, pair.device)
+    for rows in pieces:
+        own = 0 if len(points.counts) == 1 else pair[rows]  # one pair's points need no copy
+        square = residuals(rotation[..., rows], translation[:, rows], points.source[:, own], points.target[:, own])
+        inside = (square < limit[rows, None]).logical_and_(points.valid[own])
+        inliers[rows] = inside
+        error[rows] = sums(square.masked_fill_(inside.logical_not_(), 0.0))
     support = inliers.sum(dim=1)
-    return Scored(rotation, translation, inliers, support, error, quality(support, error, threshold))
+    return Scored(rotation, translation, pair, inliers, support, error, quality(support, error, limit))
 
 
 def best_first(scored: Scored) -> Tensor:
-    """Order (H,) by quality, then by error, then by place."""
-    by_error = scored.error.sort(stable=True).indices
-    return by_error[scored.quality[by_error].sort(descending=True, stable=True).indices]
+    """Order (H,) by pair, then by quality, then by error, then by place."""
+    order = scored.error.sort(stable=True).indices
+    order = order[scored.quality[order].sort(descending=True, stable=True).indices]
+    return order[scored.pair[order].sort(stable=True).indices]
 
 
-def optimize(
-    scored: Scored, source: Tensor, target: Tensor, threshold: float, rounds: int, quality: Quality = by_count
-) -> Scored:
+def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality = by_count) -> Scored:
     """Refit hypotheses to their inliers until none gets better, at most ``rounds`` times."""
-    active = torch.arange(len(scored.support), device=source.device)
+    scored = Scored(*(part.clone() for part in scored))
+    active = torch.arange(len(scored.support), device=scored.pair.device)
+    before = scored
     for _ in range(rounds):
-        before = scored.take(active)
-        refitted = score(*fit(before.inliers, source, target), source, target, threshold, quality)
+        refitted = score(*fit(before.inliers, before.pair, points), before.pair, points, quality)
         better = refitted.quality > before.quality
         better |= (refitted.quality == before.quality) & (refitted.error < before.error)
         gained = better.nonzero()[:, 0]
         if len(gained) == 0:
             break
-        active = active[gained]
-        scored = scored.put(active, refitted.take(gained))
+        active, before = active[gained], refitted.take(gained)
+        scored.put(active, before)
     return scored
-
-
-def fit(inliers: Tensor, source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-    """Least-squares rotations (3, 3, H) and translations (3, H) for inlier masks (H, M), order of sums fixed."""
-    index, valid = _gathered(inliers)
-    weight = valid.to(source.dtype)  # (H, K)
-    p, q = source[:, index], target[:, index]  # (3, H, K)
-    total = _sum(weight).clamp(min=1)  # (H,)
-    source_mean, target_mean = _sum(p * weight) / total, _sum(q * weight) / total  # (3, H)
-    p, q = (p - source_mean[..., None]) * weight, q - target_mean[..., None]
-    covariance = torch.stack([_sum(p[i] * q) for i in range(3)])  # (3, 3, H)
-    T = from_moments(source_mean.t(), target_mean.t(), covariance.permute(2, 0, 1))
-    return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t()
-
-
-def _sum(values: Tensor) -> Tensor:
-    """Over the last dimension, in a fixed order."""
-    return stable_sum(values.reshape(-1, values.shape[-1]).t()).reshape(values.shape[:-1])
-
-
-def _gathered(inliers: Tensor) -> tuple[Tensor, Tensor]:
-    """Places (H, K) of the inliers of masks (H, M), in order, and which of them are valid; the others are place 0."""
-    count = inliers.sum(dim=1)
-    width = max(1, int(count.amax())) if len(count) else 1
-    place = torch.where(inliers, inliers.cumsum(dim=1) - 1, width)  # the last column takes what is no inlier
-    rows = torch.arange(inliers.shape[1], device=inliers.device).expand_as(place)
-    index = place.new_zeros(len(inliers), width + 1).scatter_(1, place, rows)[:, :width]
-    valid = torch.arange(width, device=inliers.device) < count[:, None]
-    return torch.where(valid, index, 0), valid
-
-
-def _score(rotation: Tensor, translation: Tensor, source: Tensor, target: Tensor, threshold: float) -> list[Tensor]:
-    square = residuals(rotation, translation, source, target)
-    inliers = square < threshold * threshold
-    return [inliers, _sum(torch.where(inliers, square, torch.zeros_like(square)))]

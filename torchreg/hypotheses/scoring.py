@@ -46,11 +46,18 @@ def propose_counts(rotation: Tensor, translation: Tensor, correspondences: Tenso
 
 
 def residuals(rotation: Tensor, translation: Tensor, source: Tensor, target: Tensor) -> Tensor:
-    """Squared distances (H, M) of hypotheses (3, 3, H), (3, H) over correspondences (3, M), elementwise."""
+    """Squared distances (H, M) of hypotheses (3, 3, H), (3, H) over correspondences, elementwise.
+
+    The correspondences are (3, M) twice, the same for all hypotheses, or (3, H, M), those of each.
+    """
     square = None
     for i in range(3):
-        moved = rotation[i, 0, :, None] * source[0] + rotation[i, 1, :, None] * source[1]
-        difference = moved + rotation[i, 2, :, None] * source[2] + translation[i, :, None] - target[i]
-        square = difference * difference if square is None else square + difference * difference
+        moved = rotation[i, 0, :, None] * source[0]
+        moved += rotation[i, 1, :, None] * source[1]
+        moved += rotation[i, 2, :, None] * source[2]
+        moved += translation[i, :, None]
+        moved -= target[i]
+        moved *= moved
+        square = moved if square is None else square.add_(moved)
     assert square is not None
     return square

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -24,11 +26,21 @@ def pair_seed(seed: int, source: Tensor, target: Tensor) -> int:
 
     A pair is recognized by what it holds, so its draws do not depend on its batch or its place in it.
     """
+    return pair_seeds(seed, source, target, [len(source)])[0]
+
+
+def pair_seeds(seed: int, source: Tensor, target: Tensor, counts: Sequence[int]) -> list[int]:
+    """``pair_seed`` of several pairs with so many correspondences each, one pair's after another's."""
     expect(source.shape == target.shape, "target", f"{tuple(source.shape)}", target)
+    lengths = torch.tensor(counts, dtype=torch.int64, device=source.device)
+    ends = lengths.cumsum(dim=0)
     place = torch.arange(1, len(source) + 1, device=source.device)
-    # sums of int64 wrap around and are exact in any order
+    place -= (ends - lengths).repeat_interleave(lengths)
+    # sums of int64 wrap around and are exact in any order; so are differences of such sums
     print_ = (source * 0x9E3779B1 + target * 0x85EBCA77 + 1) * (place * 0xC2B2AE3D + 0x27D4EB2F)
-    return _mix((_mix(seed) + int(print_.sum().item()) + len(source)) & _MASK) >> 1
+    total = torch.nn.functional.pad(print_.cumsum(dim=0), (1, 0))
+    own: list[int] = (total[ends] - total[ends - lengths]).tolist()
+    return [_mix((_mix(seed) + number + count) & _MASK) >> 1 for number, count in zip(own, counts, strict=True)]
 
 
 def _mix(value: int) -> int:

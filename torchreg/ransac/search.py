@@ -1,12 +1,12 @@
-"""The search for the best hypotheses of one pair: sample -> prune -> solve -> score -> refine."""
+"""The search for the best hypotheses of one pair: sample -> prune -> solve -> count."""
 
 from __future__ import annotations
 
 import math
 
-from torchreg.hypotheses import QUALITIES, Found, MatchedPoints, Proposals, distinct_poses, proposal_dtype
-from torchreg.hypotheses.refine import score
-from torchreg.hypotheses.scoring import correspondence_vectors, propose_counts
+from torchreg.hypotheses import Found, MatchedPoints, Proposals, proposal_dtype
+from torchreg.hypotheses.proposals import orthonormal
+from torchreg.hypotheses.scoring import correspondence_vectors, propose_counts, residuals
 from torchreg.ransac.minimal import sample_fits, solve_samples
 from torchreg.ransac.prune import similar_edges, spans_plane
 from torchreg.ransac.sampling import sample_rounds
@@ -25,7 +25,7 @@ def search(points: MatchedPoints, options: RansacOptions) -> Found:
     dtype = proposal_dtype(source, target, threshold)
     p, q = source.to(dtype), target.to(dtype)
     vectors = correspondence_vectors(p, q)
-    proposals = Proposals(source.device)
+    proposals = Proposals(source.device, dtype)
     drawn = kept = best_count = 0
     for samples in sample_rounds(count, options.sample_size, options.hypotheses, points.seed, source.device):
         drawn += len(samples)
@@ -42,8 +42,9 @@ def search(points: MatchedPoints, options: RansacOptions) -> Found:
         rotation, translation = rotation[..., passed], translation[..., passed]
         proposals.add(rotation, translation, propose_counts(rotation, translation, vectors, threshold))
         if options.confidence < 1:
-            leader = score(*proposals.best(1), source, target, threshold)
-            best_count = max(best_count, int(leader.support))
+            turned, moved = (part.double() for part in proposals.best(1))
+            square = residuals(orthonormal(turned), moved, source, target)
+            best_count = max(best_count, int((square < threshold * threshold).sum()))
             if drawn >= _hypotheses_needed(best_count / count, options.sample_size, options.confidence):
                 break
     if proposals.total == 0:
@@ -52,10 +53,7 @@ def search(points: MatchedPoints, options: RansacOptions) -> Found:
             f"and none fits within {threshold:g} m"
         )
         return Found(None, drawn, kept, 0, reason)
-    poses = distinct_poses(
-        proposals, source, target, threshold, options.local_optimization, QUALITIES[options.scoring]
-    )
-    return Found(poses, drawn, kept, proposals.total, "")
+    return Found(proposals, drawn, kept, proposals.total, "")
 
 
 def _hypotheses_needed(inlier_ratio: float, size: int, confidence: float) -> float:
