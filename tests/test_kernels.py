@@ -17,7 +17,7 @@ from torchreg.geometry.chunks import stable_sum
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.hypotheses.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
 from torchreg.ransac.minimal import sample_fits, solve_samples
-from torchreg.ransac.prune import similar_edges, spans_plane
+from torchreg.ransac.prune import edge_marks, spans_plane
 
 ROWS, SLOTS, HYPOTHESES, MATCHES, SAMPLE = 5, 4, 6, 9, 3
 
@@ -61,10 +61,7 @@ KERNELS = {
     ),
     "symmetric_eigen": (symmetric_eigen, [numbers(ROWS, 3, 3)]),
     "stable_sum": (stable_sum, [numbers(3000, 2)]),
-    "similar_edges": (
-        lambda p, q: similar_edges(p, q, 0.9),
-        [numbers(3, SAMPLE, HYPOTHESES), numbers(3, SAMPLE, HYPOTHESES)],
-    ),
+    "edge_marks": (lambda p, q: edge_marks(p, q, 0.9, 0.1), [numbers(3, HYPOTHESES), numbers(3, HYPOTHESES)]),
     "spans_plane": (spans_plane, [numbers(3, SAMPLE, HYPOTHESES)]),
     "solve_samples": (solve_samples, [numbers(3, SAMPLE, HYPOTHESES), numbers(3, SAMPLE, HYPOTHESES)]),
     "sample_fits": (

@@ -94,9 +94,7 @@ def test_fitness_and_rmse_are_those_of_the_metrics():
     result = run(problem, FEW)
     T, threshold = result.T_target_source, FEW.inlier_threshold
     assert torch.equal(result.fitness, tr.metrics.fitness(problem.source, problem.target, T, threshold))
-    assert close(
-        result.inlier_rmse, tr.metrics.inlier_rmse(problem.source, problem.target, T, threshold), atol=1e-12
-    )
+    assert close(result.inlier_rmse, tr.metrics.inlier_rmse(problem.source, problem.target, T, threshold), atol=1e-12)
 
 
 def test_inliers_are_the_matches_within_the_threshold():

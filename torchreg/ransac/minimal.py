@@ -23,51 +23,56 @@ def solve_samples(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
 
 def sample_fits(source: Tensor, target: Tensor, rotation: Tensor, translation: Tensor, threshold: float) -> Tensor:
     """(H,) bool: every point of the sample comes within the threshold of its partner."""
-    worst = torch.zeros_like(translation[0])
-    for s in range(source.shape[1]):
-        square = torch.zeros_like(worst)
-        for i in range(3):
-            moved = rotation[i, 0] * source[0, s] + rotation[i, 1] * source[1, s] + rotation[i, 2] * source[2, s]
-            difference = moved + translation[i] - target[i, s]
-            square = square + difference * difference
-        worst = torch.maximum(worst, square)
-    return worst < threshold * threshold
+    square = torch.zeros_like(source[0])  # (S, H)
+    for i in range(3):
+        moved = rotation[i, 0] * source[0] + rotation[i, 1] * source[1] + rotation[i, 2] * source[2]
+        difference = moved + translation[i] - target[i]
+        square += difference * difference
+    return square.amax(dim=0) < threshold * threshold
 
 
 def _solve_triangles(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-    center_s = (source[:, 0] + source[:, 1] + source[:, 2]) / 3
-    center_t = (target[:, 0] + target[:, 1] + target[:, 2]) / 3
-    u_s, w_s, n_s = _frame(source)
-    u_t, w_t, n_t = _frame(target)
-    cosine, sine = torch.zeros_like(center_s[0]), torch.zeros_like(center_s[0])
-    for k in range(3):
-        p, q = source[:, k] - center_s, target[:, k] - center_t
-        pu, pw, qu, qw = _dot(p, u_s), _dot(p, w_s), _dot(q, u_t), _dot(q, w_t)
-        cosine = cosine + (pu * qu + pw * qw)
-        sine = sine + (pu * qw - pw * qu)
+    both = torch.stack([source, target], dim=2)  # (3, S, 2, H)
+    center = (both[:, 0] + both[:, 1] + both[:, 2]) / 3  # (3, 2, H)
+    u, w, n = _frame(both)
+    apart = both - center[:, None]
+    along, across = _dot(apart, u[:, None]), _dot(apart, w[:, None])  # (S, 2, H)
+    (pu, qu), (pw, qw) = along.unbind(dim=1), across.unbind(dim=1)  # (S, H) each
+    cosine, sine = _sum(pu * qu + pw * qw), _sum(pu * qw - pw * qu)
     length = (cosine * cosine + sine * sine).sqrt()
     safe = torch.where(length > 0, length, torch.ones_like(length))
     cosine, sine = torch.where(length > 0, cosine / safe, torch.ones_like(length)), sine / safe
+    (u_s, u_t), (w_s, w_t), (n_s, n_t) = u.unbind(dim=1), w.unbind(dim=1), n.unbind(dim=1)  # (3, H) each
     turned_u = cosine * u_t + sine * w_t
     turned_w = cosine * w_t - sine * u_t
     rotation = turned_u[:, None] * u_s[None] + turned_w[:, None] * w_s[None] + n_t[:, None] * n_s[None]  # (3, 3, H)
-    moved = torch.stack([_dot(rotation[i], center_s) for i in range(3)])
-    return rotation, center_t - moved
+    moved = _dot(rotation.transpose(0, 1), center[:, None, 0])
+    return rotation, center[:, 1] - moved
 
 
 def _frame(points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Orthonormal axes (3, H) each: along the first edge, across it in the plane, and the normal."""
+    """Orthonormal axes (3, ...) of points (3, S, ...): along the first edge, across it in the plane, the normal."""
     u = _unit(points[:, 1] - points[:, 0])
     normal = _unit(_cross(u, points[:, 2] - points[:, 0]))
     return u, _cross(normal, u), normal
 
 
+def _sum(terms: Tensor) -> Tensor:
+    """Over the first of (S, H), one after another."""
+    total = torch.zeros_like(terms[0])
+    for term in terms:
+        total += term
+    return total
+
+
 def _dot(a: Tensor, b: Tensor) -> Tensor:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    """Over the first dimension, one term after another."""
+    products = a * b
+    return products[0] + products[1] + products[2]
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:
-    return torch.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return a.roll(-1, 0) * b.roll(-2, 0) - a.roll(-2, 0) * b.roll(-1, 0)
 
 
 def _unit(vectors: Tensor) -> Tensor:

@@ -2,36 +2,47 @@
 
 A rigid motion keeps lengths. So a sample is dropped when an edge of its polygon in one cloud is shorter than
 ``edge_similarity`` times the same edge in the other (as Open3D's CorrespondenceCheckerBasedOnEdgeLength; the
-paper: 0.9), and when it is degenerate: a point twice, or nearly on a line, which leaves the rotation open.
+paper: 0.9), and when it is degenerate: a point twice, or nearly on a line, which leaves the rotation open. And a
+transform that brings both ends of an edge within a threshold of their partners changes its length by no more than
+twice the threshold; what changes more needs no solve to be known not to fit.
 """
 
 from __future__ import annotations
-
-from itertools import combinations
 
 import torch
 from torch import Tensor
 
 _MIN_SINE = 0.05  # of the angle at the first point: about 3 degrees
+_ROUNDINGS = 1024  # far above the rounding of a length, of a solve and of a residual, in units of the coordinates
+_WIDER = 1.02  # likewise, of the threshold
+
+DISSIMILAR, SIMILAR, FITTING = 0, 1, 2
+"""Marks of an edge: what fits is also similar."""
 
 
-def similar_edges(source: Tensor, target: Tensor, similarity: float) -> Tensor:
-    """Which samples pass.
+def edge_marks(source: Tensor, target: Tensor, similarity: float, slack: float) -> Tensor:
+    """Judge edges.
 
     Args:
-        source: (3, S, R) coordinates of R samples of S points.
-        target: (3, S, R).
-        similarity: in [0, 1].
+        source: (3, ...) differences of two points, meters.
+        target: (3, ...) differences of their partners.
+        similarity: in [0, 1], of the lengths of a similar edge.
+        slack: meters, by which the lengths of a fitting edge differ at most.
 
     Returns:
-        (R,) bool.
+        (...) uint8: ``DISSIMILAR``, ``SIMILAR`` or ``FITTING``.
     """
     limit = similarity * similarity
-    passed = torch.ones(source.shape[-1], dtype=torch.bool, device=source.device)
-    for i, j in combinations(range(source.shape[1]), 2):
-        a, b = _square(source[:, i] - source[:, j]), _square(target[:, i] - target[:, j])
-        passed &= (a >= limit * b) & (b >= limit * a) & (a > 0) & (b > 0)
-    return passed
+    a, b = _square(source), _square(target)
+    similar = (a >= limit * b) & (b >= limit * a) & (a > 0) & (b > 0)
+    apart = a.sqrt_().sub_(b.sqrt_()).abs_() > slack
+    return similar.to(torch.uint8).mul_(FITTING - apart.to(torch.uint8))
+
+
+def fitting_slack(source: Tensor, target: Tensor, threshold: float) -> float:
+    """By how much lengths among points (3, M) and among their partners differ where both ends of an edge fit."""
+    reach = float(torch.maximum(source.abs().amax(), target.abs().amax()))
+    return 2 * _WIDER * threshold + _ROUNDINGS * reach * torch.finfo(source.dtype).eps
 
 
 def spans_plane(points: Tensor) -> Tensor:

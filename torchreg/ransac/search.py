@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+from torch import Tensor
+
 from torchreg.hypotheses import Found, MatchedPoints, Proposals, proposal_dtype
 from torchreg.hypotheses.proposals import orthonormal
 from torchreg.hypotheses.scoring import correspondence_vectors, propose_counts, residuals
+from torchreg.ransac.edges import Edges
 from torchreg.ransac.minimal import sample_fits, solve_samples
-from torchreg.ransac.prune import similar_edges, spans_plane
+from torchreg.ransac.prune import spans_plane
 from torchreg.ransac.sampling import sample_rounds
 from torchreg.types import RansacOptions
 
@@ -25,14 +28,15 @@ def search(points: MatchedPoints, options: RansacOptions) -> Found:
     dtype = proposal_dtype(source, target, threshold)
     p, q = source.to(dtype), target.to(dtype)
     vectors = correspondence_vectors(p, q)
+    edges = Edges(p, q, options.edge_similarity, threshold)
     proposals = Proposals(source.device, dtype)
     drawn = kept = best_count = 0
+    leading = -1  # proposed count
     for samples in sample_rounds(count, options.sample_size, options.hypotheses, points.seed, source.device):
         drawn += len(samples)
-        sample_p, sample_q = p[:, samples.t()], q[:, samples.t()]  # (3, S, R)
-        similar = similar_edges(sample_p, sample_q, options.edge_similarity).nonzero()[:, 0]
-        kept += len(similar)
-        sample_p, sample_q = sample_p[..., similar], sample_q[..., similar]
+        similar, samples = edges.sift(samples)
+        kept += similar
+        sample_p, sample_q = _columns(p, samples), _columns(q, samples)  # (3, S, K)
         solvable = spans_plane(sample_p) & spans_plane(sample_q)
         rotation, translation = solve_samples(sample_p, sample_q)
         fits = sample_fits(sample_p, sample_q, rotation, translation, threshold) & solvable
@@ -40,11 +44,15 @@ def search(points: MatchedPoints, options: RansacOptions) -> Found:
         if len(passed) == 0:
             continue
         rotation, translation = rotation[..., passed], translation[..., passed]
-        proposals.add(rotation, translation, propose_counts(rotation, translation, vectors, threshold))
+        proposed = propose_counts(rotation, translation, vectors, threshold)
+        proposals.add(rotation, translation, proposed)
         if options.confidence < 1:
-            turned, moved = (part.double() for part in proposals.best(1))
-            square = residuals(orthonormal(turned), moved, source, target)
-            best_count = max(best_count, int((square < threshold * threshold).sum()))
+            highest = int(proposed.amax())
+            if highest > leading:  # else the leader is the one that has been scored
+                leading = highest
+                turned, moved = (part.double() for part in proposals.best(1))
+                square = residuals(orthonormal(turned), moved, source, target)
+                best_count = max(best_count, int((square < threshold * threshold).sum()))
             if drawn >= _hypotheses_needed(best_count / count, options.sample_size, options.confidence):
                 break
     if proposals.total == 0:
@@ -54,6 +62,11 @@ def search(points: MatchedPoints, options: RansacOptions) -> Found:
         )
         return Found(None, drawn, kept, 0, reason)
     return Found(proposals, drawn, kept, proposals.total, "")
+
+
+def _columns(points: Tensor, samples: Tensor) -> Tensor:
+    """Coordinates (3, S, K) of samples (K, S)."""
+    return points.index_select(1, samples.t().flatten()).view(3, samples.shape[1], -1)
 
 
 def _hypotheses_needed(inlier_ratio: float, size: int, confidence: float) -> float:
