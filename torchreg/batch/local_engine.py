@@ -9,7 +9,9 @@ threads no faster than one, two processes twice as fast).
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
+import threading
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -108,6 +110,18 @@ def _as_it_is(item: Any) -> Any:  # noqa: ANN401
 
 def _begin_worker(threads: int, number: int) -> None:
     torch.set_num_threads(threads)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that began it is gone, however that came about.
+
+    A worker's own watch looks at its parent's number; that of a server of processes stays as long as there are workers.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
 
 
 def _context() -> Any:  # noqa: ANN401
