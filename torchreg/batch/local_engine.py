@@ -9,7 +9,10 @@ threads no faster than one, two processes twice as fast).
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
+import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -21,7 +24,8 @@ from torchreg.batch.jobs import Job, load_and_compute
 from torchreg.batch.outcome import Outcome, attempt
 from torchreg.errors import at_least
 
-_DIED = "the process that worked on it ended unexpectedly (out of memory, or killed)"
+_DEATHS = 3  # that one item may cause, working alone
+_DIED = "the process that worked on it ended unexpectedly each time, out of memory or killed"
 
 
 class LocalEngine:
@@ -44,21 +48,23 @@ class LocalEngine:
 
     def run(self, job: Job, items: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
         """As ``Engine``'s."""
-        processes = min(self._processes, len(items))
-        pending = list(range(len(items)))
+        pending, deaths = list(range(len(items))), 0  # deaths since an item was done last
         while pending:
-            before = len(pending)
+            # after a death one at a time, so that the item at fault is known: it is the first
+            processes = min(self._processes, len(pending)) if deaths == 0 else 1
             try:
                 for place, outcome in self._some(job, items, pending, processes):
                     pending.remove(place)
+                    deaths = 0
                     yield place, outcome
-            except RuntimeError as error:
-                if "DataLoader worker" not in str(error):
+            except (RuntimeError, EOFError, ConnectionError) as error:
+                # the latter two: the server of processes itself is gone; it is started again
+                if isinstance(error, RuntimeError) and "DataLoader worker" not in str(error):
                     raise
-                if processes == 1 and len(pending) == before:  # the first of them ends every process it is given
-                    yield pending.pop(0), Outcome(None, _DIED, expected=False)
-                elif len(pending) == before:
-                    processes = 1
+                deaths += 1
+                if deaths > _DEATHS:
+                    deaths = 1
+                    yield pending.pop(0), Outcome(None, f"{_DIED} ({error})", expected=False)
 
     def _some(self, job: Job, items: Sequence[Any], places: list[int], processes: int) -> Iterator[tuple[int, Outcome]]:
         do = partial(load_and_compute, job, self._device) if self._in_workers else partial(attempt, job.load)
@@ -90,16 +96,20 @@ def _loaded(work: _Work, processes: int) -> Iterator[tuple[int, Outcome]]:
         yield from (work[number] for number in range(len(work)))
         return
     threads = max(1, cores() // processes)
-    yield from DataLoader(
-        work,
-        batch_size=None,  # an item is a unit of work already
-        collate_fn=_as_it_is,
-        num_workers=processes,
-        prefetch_factor=1,
-        in_order=False,
-        worker_init_fn=partial(_begin_worker, threads),
-        multiprocessing_context=_context(),
-    )
+    with warnings.catch_warnings():  # more processes than cores are right where reading is slow
+        warnings.filterwarnings("ignore", message="This DataLoader will create")
+        loader = DataLoader(
+            work,
+            batch_size=None,  # an item is a unit of work already
+            collate_fn=_as_it_is,
+            num_workers=processes,
+            prefetch_factor=1,
+            in_order=False,
+            worker_init_fn=partial(_begin_worker, threads),
+            multiprocessing_context=_context(),
+        )
+        ready = iter(loader)
+    yield from ready
 
 
 def _as_it_is(item: Any) -> Any:  # noqa: ANN401
@@ -108,6 +118,18 @@ def _as_it_is(item: Any) -> Any:  # noqa: ANN401
 
 def _begin_worker(threads: int, number: int) -> None:
     torch.set_num_threads(threads)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that began it is gone, however that came about.
+
+    A worker's own watch looks at its parent's number; that of a server of processes stays as long as there are workers.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
 
 
 def _context() -> Any:  # noqa: ANN401

@@ -45,8 +45,9 @@ class RayEngine:
                 at_least(workers, "workers", 1)
             try:
                 ray.init(address=address, log_to_driver=False, logging_level="ERROR", **started)
-            except (ConnectionError, RuntimeError, ValueError) as error:
-                raise ValueError(f"--ray-address: expected a cluster that answers, got {address!r} ({error})") from None
+            except Exception as error:  # Ray raises many kinds, its plain one among them
+                named = "--engine ray" if address is None else f"--ray-address {address}"
+                raise ValueError(f"{named}: expected a cluster that answers, got {error}") from None
         gpus = 0 if device == "cpu" else 1
         self._task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=_RETRIES)(load_and_compute)
 

@@ -91,7 +91,8 @@ COLUMNS: dict[str, str] = {
     "rmse_meters": "number",
     "notes": "text",
 }
-"""The table's columns in order, with what they hold; other columns of the pairs file follow as texts."""
+"""The table's columns in order, with what they hold; other columns of the pairs file follow as
+texts, with ``pair_`` before a name that is taken."""
 
 
 def row_of(pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, told: Told) -> Row:
@@ -133,7 +134,7 @@ def row_of(pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, to
 def _line(pair: Pair, known: dict[str, Any]) -> dict[str, Any]:
     own = {"name": pair.name, "source": pair.source_text, "target": pair.target_text}
     line = {name: own.get(name, known.get(name)) for name in COLUMNS}
-    return line | {name: text for name, text in pair.extra if name not in COLUMNS}
+    return line | {f"pair_{name}" if name in COLUMNS else name: text for name, text in pair.extra}
 
 
 def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, told: Told) -> dict[str, Any]:

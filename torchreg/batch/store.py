@@ -26,7 +26,7 @@ from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row
 from torchreg.batch.scales import Scale
 from torchreg.errors import expect
-from torchreg.io.atomic import atomic_write
+from torchreg.io.atomic import atomic_write, remove_remains
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS pairs (
@@ -110,6 +110,8 @@ class Store:
         if known.exists():
             _same_run(known, manifest)
         (self.folder / "pairs").mkdir(exist_ok=True)
+        for folder in (self.folder, self.folder / "pairs"):
+            remove_remains(folder)
         self._database = sqlite3.connect(self.folder / "batch.sqlite")
         self._database.row_factory = sqlite3.Row
         with self._database:

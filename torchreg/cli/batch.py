@@ -111,9 +111,11 @@ def _listed(pairs: Path | None, all_pairs: str | None, settings: PairSettings) -
 def _run(pairs: tuple[Pair, ...], store: Store, work: Work, bounds: Bounds) -> None:
     """The batch itself, and what is to be said of it on the way."""
     from torchreg.batch import run
+    from torchreg.io.atomic import remove_remains
 
     described = (store.folder / "described" if work.cache is None else work.cache).absolute()
     described.mkdir(exist_ok=True)
+    remove_remains(described, older_than=3600.0)
     missing = sorted({path for pair in pairs for path in (pair.source, pair.target) if not Path(path).exists()})
     for path in missing[:20]:
         complain(f"{path}: no such file; its pairs fail")

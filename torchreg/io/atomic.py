@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,3 +36,13 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def remove_remains(folder: Path, older_than: float = 0.0) -> None:
+    """Remove what killed processes left of ``atomic_write`` in a folder: files not touched for so many seconds."""
+    for part in folder.glob(".*.tmp"):
+        try:
+            if time.time() - part.stat().st_mtime >= older_than:
+                part.unlink()
+        except FileNotFoundError:  # another process was faster
+            continue
