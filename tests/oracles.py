@@ -107,8 +107,7 @@ def neighbor_lists(near: tr.Neighborhoods) -> list[list[tuple[int, float]]]:
     """(row, squared distance) of the valid neighbors of every point, without the point itself."""
     rows = zip(near.index.tolist(), near.valid.tolist(), near.sq_distance.double().tolist(), strict=True)
     return [
-        [(j, square) for j, counts, square in zip(*row, strict=True) if counts and j != i]
-        for i, row in enumerate(rows)
+        [(j, square) for j, counts, square in zip(*row, strict=True) if counts and j != i] for i, row in enumerate(rows)
     ]
 
 
@@ -138,9 +137,7 @@ def voxel_means(points: Tensor, size: float, *more: Tensor) -> dict[tuple[int, .
     low = wide.min(dim=0).values - size / 2
     for row, point in enumerate(wide):
         members[tuple(math.floor(float(c)) for c in (point - low) / size)].append(row)
-    return {
-        voxel: [values[rows].double().mean(dim=0) for values in (points, *more)] for voxel, rows in members.items()
-    }
+    return {voxel: [values[rows].double().mean(dim=0) for values in (points, *more)] for voxel, rows in members.items()}
 
 
 def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> Tensor:

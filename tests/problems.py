@@ -139,9 +139,7 @@ def sphere_cloud(count: int, *, seed: int = 0, dtype: torch.dtype = torch.float6
     radius = 1 + 0.2 * torch.sin(5 * x + 1) * torch.cos(4 * y) + 0.1 * torch.sin(7 * z)
     tilted = torch.nn.functional.normalize(direction + 0.3 * _normal(generator, count, 3), dim=1)
     colors = torch.rand(count, 3, dtype=torch.float64, generator=generator)
-    return tr.Clouds(
-        points=(radius[:, None] * direction).to(dtype), colors=colors.to(dtype), normals=tilted.to(dtype)
-    )
+    return tr.Clouds(points=(radius[:, None] * direction).to(dtype), colors=colors.to(dtype), normals=tilted.to(dtype))
 
 
 def plane_cloud(count: int, size: float, *, seed: int = 0) -> tr.Clouds:

@@ -120,9 +120,7 @@ def test_turning_all_hues_changes_nothing():
     values = color_values(cloud, "none")
     turned = values.clone()
     turned[:, 0] = (turned[:, 0] + 0.37) % 1
-    assert close(
-        tr.pcfh(cloud, near, values=values).values, tr.pcfh(cloud, near, values=turned).values, atol=1e-9
-    )
+    assert close(tr.pcfh(cloud, near, values=values).values, tr.pcfh(cloud, near, values=turned).values, atol=1e-9)
 
 
 @pytest.mark.parametrize("neighbors", range(5))

@@ -39,9 +39,7 @@ def test_noisy_points_give_what_numpy_gives(seed, rows, noise):
     source, target, _ = pair(rows, seed, noise)
     weights = torch.rand(rows, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)) + 0.1
     assert close(tr.kabsch(source, target), oracles.kabsch(source, target), atol=1e-6)
-    assert close(
-        tr.kabsch(source, target, weights), oracles.kabsch(source, target, weights), atol=1e-6
-    )
+    assert close(tr.kabsch(source, target, weights), oracles.kabsch(source, target, weights), atol=1e-6)
 
 
 def test_no_nearby_transform_is_better():

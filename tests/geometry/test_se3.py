@@ -109,9 +109,7 @@ def test_gradients_are_right():
     T = random_transform(torch.Generator().manual_seed(6))
     points = torch.randn(4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(7)).requires_grad_()
     rotation, translation = T[:3, :3].clone().requires_grad_(), T[:3, 3].clone().requires_grad_()
-    assert torch.autograd.gradcheck(
-        lambda R, t, p: apply(inverse(rigid(R, t)), p), (rotation, translation, points)
-    )
+    assert torch.autograd.gradcheck(lambda R, t, p: apply(inverse(rigid(R, t)), p), (rotation, translation, points))
 
 
 def test_shapes_that_do_not_fit_are_refused():

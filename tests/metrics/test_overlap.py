@@ -49,9 +49,7 @@ def test_values_are_those_of_open3d(threshold):
     nudge = torch.eye(4, dtype=torch.float64)
     nudge[:3, 3] = torch.tensor([0.02, -0.01, 0.03])
     T = nudge @ pair.T_target_source[0]
-    clouds = [
-        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(side.points))) for side in pair[:2]
-    ]
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(side.points))) for side in pair[:2]]
     expected = o3d.pipelines.registration.evaluate_registration(*clouds, threshold, T.numpy())
     assert 0 < expected.inlier_rmse < threshold
     found = tr.metrics.fitness(pair.source, pair.target, T[None], threshold)

@@ -53,9 +53,7 @@ def test_every_point_is_as_likely():
 
 def test_the_same_generator_state_gives_the_same_points():
     one = cloud(100)
-    assert same_bits(
-        tr.random_downsample(one, 10, generator=draw(7)), tr.random_downsample(one, 10, generator=draw(7))
-    )
+    assert same_bits(tr.random_downsample(one, 10, generator=draw(7)), tr.random_downsample(one, 10, generator=draw(7)))
     assert not same_bits(
         tr.random_downsample(one, 10, generator=draw(7)), tr.random_downsample(one, 10, generator=draw(8))
     )

@@ -137,7 +137,14 @@ def test_demo_table():
         (a_row(right=False, degrees=179.7), a_row(ratio=0.3), ("turned by 180 degrees", "wall on wall", "30.0 %")),
         (a_row(right=False, degrees=12), a_row(), ("turned by 12 degrees and moved by 0.5 m; by default all",)),
         (a_row(), a_row(), ("by default and without color",)),
-        (a_row(), a_row(right=False), ("do not lie on each other", "without color they do",)),
+        (
+            a_row(),
+            a_row(right=False),
+            (
+                "do not lie on each other",
+                "without color they do",
+            ),
+        ),
         (a_row(right=False), a_row(right=False), ("nor by the plain procedure",)),
     ],
 )

@@ -21,7 +21,6 @@ from torchreg.batch.rows import RETRIED, Row
 from torchreg.batch.scales import Scale, shared_scales
 from torchreg.batch.store import Finished, Store, differences
 from torchreg.batch.store import said_of as pair_said
-from torchreg.errors import expect
 from torchreg.registration.slices import budget
 
 
@@ -248,7 +247,9 @@ def _same_pairs(pairs: Sequence[Pair], finished: Mapping[str, Finished]) -> None
         if pair.name in finished:
             then, now = json.loads(finished[pair.name].said), json.loads(pair_said(pair))
             different = differences(then, now)
-            expect(not different, f"pair {pair.name}", "what it was when it was finished, or a new folder", different)
+            if different:
+                expected = "what it was when it was finished, or a new folder"
+                raise ValueError(f"pair {pair.name}: expected {expected}, got {different}")
 
 
 def _stop_without_room(outcome: Outcome) -> None:

@@ -90,8 +90,11 @@ class Store:
         expect(not self.folder.exists() or self.folder.is_dir(), "--out", "a folder", f"the file {self.folder}")
         known = self.folder / "run.json"
         if self.folder.is_dir() and not known.exists():
-            others = sorted(path.name for path in self.folder.iterdir() if path.name not in (".lock", "pairs"))
-            expect(not others, "--out", "an empty folder, or one of a batch", f"{self.folder} with {others[:3]}")
+            # a run that was killed at once may have left a lock or a part of run.json
+            others = sorted(path.name for path in self.folder.iterdir() if not path.name.startswith("."))
+            if others:
+                found = ", ".join(others[:3])
+                raise ValueError(f"--out: expected an empty folder, or one of a batch, got {self.folder} with {found}")
         self.folder.mkdir(exist_ok=True)
         self._lock = FileLock(self.folder / ".lock")
         try:
@@ -109,6 +112,9 @@ class Store:
     def _begin(self, known: Path, manifest: Mapping[str, Any]) -> None:
         if known.exists():
             _same_run(known, manifest)
+        else:
+            with atomic_write(known) as file:
+                file.write((json.dumps(manifest, indent=2) + "\n").encode())
         (self.folder / "pairs").mkdir(exist_ok=True)
         for folder in (self.folder, self.folder / "pairs"):
             remove_remains(folder)
@@ -116,9 +122,6 @@ class Store:
         self._database.row_factory = sqlite3.Row
         with self._database:
             self._database.executescript(_TABLES)
-        if not known.exists():
-            with atomic_write(known) as file:
-                file.write((json.dumps(manifest, indent=2) + "\n").encode())
 
     def __enter__(self) -> Store:
         return self

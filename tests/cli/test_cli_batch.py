@@ -1,0 +1,309 @@
+"""``torchreg batch``: tables, resuming, what it refuses, and what it says."""
+
+import errno
+import json
+import os
+import sqlite3
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+import torch
+from filelock import FileLock
+from projects import lines_of, make_project, write_table
+
+import torchreg as tr
+from torchreg.batch import store as store_module
+from torchreg.io import read_transform_text
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """Three small clouds of one room each, three pairs."""
+    return make_project(tmp_path_factory.mktemp("project"), clouds=3, points=400)
+
+
+@pytest.fixture
+def batch(run, tmp_path):
+    """Run ``torchreg batch`` in this process, into ``tmp_path / "out"`` unless told otherwise."""
+
+    def command(*words, out="out"):
+        return run("batch", *words, "--out", tmp_path / out, "--workers", "0")
+
+    return command
+
+
+def rows_of_database(folder, columns="name, state, runs"):
+    with sqlite3.connect(folder / "batch.sqlite") as database:
+        return database.execute(f"SELECT {columns} FROM pairs ORDER BY name").fetchall()
+
+
+def room_table(room, folder, **columns):
+    return write_table(folder / "room.csv", [{"source": room.source, "target": room.target, **columns}])
+
+
+def test_a_table_of_pairs_with_a_truth_is_registered_and_summarized(batch, room, tmp_path):
+    other = make_project(tmp_path, clouds=1, points=500)
+    truth = " ".join(map(repr, read_transform_text(room.truth).flatten().tolist()))
+    rows = [
+        {"name": "right", "source": room.source, "target": room.target, "truth": room.truth, "floor": "2"},
+        {"name": "swapped", "source": room.target, "target": room.source, "truth": truth},  # a wrong truth
+        {"name": "strangers", "source": room.source, "target": other.folder / "c0.ply"},
+    ]
+    result = batch(write_table(tmp_path / "pairs.csv", rows))
+    assert result.exit_code == 0, result.output
+    out = tmp_path / "out"
+    right, swapped, strangers = lines_of(out)
+    assert (right["success"], right["state"], right["found"], right["floor"]) == ("true", "registered", "true", "2")
+    assert float(right["rre_degrees"]) < 2
+    assert (swapped["success"], swapped["found"]) == ("true", "false")
+    assert strangers["found"] == ""
+    T = torch.tensor([float(number) for number in right["T_target_source"].split()], dtype=torch.float64)
+    record = json.loads((out / "pairs" / "right.json").read_text())
+    assert torch.equal(T.view(4, 4), torch.tensor(record["T_target_source"], dtype=torch.float64))
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["pairs"], summary["with_truth"], summary["recalled"], summary["wrong_registered"]) == (3, 2, 1, 1)
+    assert summary["worst"][0][0] == "swapped"
+    assert "1 of 2 (50 %)" in result.stdout
+    assert set(summary["seconds"]) >= {"looking at clouds", "describing clouds", "matching", "hypotheses", "decision"}
+
+
+def test_the_tables_agree(batch, project, tmp_path):
+    assert batch(project.table).exit_code == 0
+    out = tmp_path / "out"
+    parquet = pyarrow.parquet.read_table(out / "results.parquet").to_pylist()
+    assert parquet == json.loads((out / "results.json").read_text())
+    for line, cells in zip(parquet, lines_of(out), strict=True):
+        assert list(line) == list(cells)
+        assert cells["name"] == line["name"]
+        assert cells["probability"] == ("" if line["probability"] is None else repr(line["probability"]))
+    times = (out / "times.csv").read_text().splitlines()
+    assert len(times) == 4
+    assert times[0].startswith("name,matching,hypotheses,decision")
+
+
+def test_a_pair_alone_has_the_lengths_and_the_result_of_register(batch, room, tmp_path):
+    assert batch(room_table(room, tmp_path)).exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    result = tr.register(tr.read_cloud(room.source), tr.read_cloud(room.target))
+    assert [float(number) for number in line["T_target_source"].split()] == result.T_target_source.flatten().tolist()
+    assert float(line["inlier_threshold"]) == result.options[0].ransac.inlier_threshold
+
+
+def test_columns_change_the_options_of_their_pair(batch, room, tmp_path):
+    rows = [
+        {"name": "a", "voxel": 0.2, "effort": "fast"},
+        {"name": "b", "inlier_threshold": 0.3, "seed": 4, "no_color": "true"},
+        {"name": "c", "preset": "paper", "hypotheses": 500, "points": 900},
+    ]
+    ends = [(room.source, room.target), (room.target, room.source), (room.target, room.target)]
+    rows = [{"source": one, "target": other, **row} for row, (one, other) in zip(rows, ends, strict=True)]
+    assert batch(write_table(tmp_path / "pairs.csv", rows)).exit_code == 0
+    records = [json.loads((tmp_path / "out" / "pairs" / f"{name}.json").read_text()) for name in "abc"]
+    options = [record["options"] for record in records]
+    assert options[0]["voxel_size"] >= 0.3  # fast is 1.5 times as coarse
+    assert options[0]["effort"] == "fast"
+    assert (options[1]["ransac"]["inlier_threshold"], options[1]["color"]) == (0.3, [])
+    assert (options[2]["feature_radius"], options[2]["ransac"]["hypotheses"]) == (5.0, 500)
+    assert records[1]["seed"] == 4
+    assert records[2]["stages"]["given"] == {"source": 900, "target": 900}
+
+
+def test_all_pairs_of_a_pattern_describe_every_cloud_once(batch, project, tmp_path):
+    result = batch("--all-pairs", project.folder / "c*.ply")
+    assert result.exit_code == 0, result.output
+    assert [line["name"] for line in lines_of(tmp_path / "out")] == ["c0__c1", "c0__c2", "c1__c2"]
+    assert len(list((tmp_path / "out" / "described").iterdir())) == 3
+
+
+def test_both_directions_of_all_pairs_describe_every_cloud_once(batch, project, tmp_path):
+    ends = [(i, k) for i in range(3) for k in range(3) if i != k]
+    table = write_table(tmp_path / "both.csv", [
+        {"source": project.folder / f"c{i}.ply", "target": project.folder / f"c{k}.ply"} for i, k in ends
+    ])  # fmt: skip
+    assert batch(table).exit_code == 0
+    assert len(list((tmp_path / "out" / "described").iterdir())) == 3
+    assert batch(table, "--cache", tmp_path / "out" / "described", out="again").exit_code == 0  # nothing is described
+    assert len(list((tmp_path / "out" / "described").iterdir())) == 3
+    assert not (tmp_path / "again" / "described").exists()
+    assert (tmp_path / "again" / "results.csv").read_bytes() == (tmp_path / "out" / "results.csv").read_bytes()
+
+
+def test_equal_clouds_of_other_names_are_described_once(batch, project, tmp_path):
+    for name in ("copy.ply", "first.ply"):
+        (tmp_path / name).write_bytes((project.folder / "c0.ply").read_bytes())
+    rows = [{"source": name, "target": project.folder / "c1.ply"} for name in ("copy.ply", "first.ply")]
+    assert batch(write_table(tmp_path / "pairs.csv", rows)).exit_code == 0
+    assert len(list((tmp_path / "out" / "described").iterdir())) == 2
+
+
+def test_a_finished_batch_is_not_computed_again(batch, project, tmp_path, monkeypatch):
+    assert batch(project.table).exit_code == 0
+    before = (tmp_path / "out" / "results.csv").read_bytes()
+    monkeypatch.setattr("torchreg.batch.clouds.read_cloud", None)
+    monkeypatch.setattr("torchreg.batch.jobs.register_described", None)
+    again = batch(project.table)
+    assert again.exit_code == 0, again.output
+    assert "3 pairs were finished before" in again.stderr
+    assert (tmp_path / "out" / "results.csv").read_bytes() == before
+
+
+def test_pairs_that_are_added_are_registered_and_the_others_stand(batch, project, tmp_path):
+    rows = [
+        {"source": project.folder / f"c{i}.ply", "target": project.folder / f"c{k}.ply"} for i, k in ((0, 1), (1, 2))
+    ]
+    table = tmp_path / "pairs.csv"
+    assert batch(write_table(table, rows[:1])).exit_code == 0
+    first = lines_of(tmp_path / "out")[0]
+    assert batch(write_table(table, rows)).exit_code == 0
+    assert lines_of(tmp_path / "out")[0] == first
+    assert [runs for _, _, runs in rows_of_database(tmp_path / "out")] == [1, 1]
+
+
+def test_other_options_are_refused_by_name_and_what_is_finished_stands(batch, project, tmp_path):
+    assert batch(project.table).exit_code == 0
+    before = (tmp_path / "out" / "results.csv").read_bytes()
+    for words, named in [
+        (("--effort", "fast"), "effort None there and 'fast' now"),
+        (("--voxel", "0.1"), "voxel None there and 0.1 now"),
+        (("--seed", "3"), "seed 0 there and 3 now"),
+        (("--recall-degrees", "5"), "recall"),
+    ]:
+        refused = batch(project.table, *words)
+        assert refused.exit_code == 2
+        assert named in refused.stderr
+        assert (tmp_path / "out" / "results.csv").read_bytes() == before
+
+
+def test_a_finished_pair_of_another_truth_is_refused(batch, project, room, tmp_path):
+    rows = [{"source": project.folder / "c0.ply", "target": project.folder / "c1.ply", "name": "x"}]
+    assert batch(write_table(tmp_path / "pairs.csv", rows)).exit_code == 0
+    rows[0]["truth"] = room.truth
+    refused = batch(write_table(tmp_path / "pairs.csv", rows))
+    assert refused.exit_code == 2
+    assert "pair x" in refused.stderr
+    assert "truth" in refused.stderr
+
+
+def test_a_cloud_that_changed_is_registered_again(batch, project, tmp_path):
+    for name in ("a.ply", "b.ply"):
+        (tmp_path / name).write_bytes((project.folder / "c0.ply").read_bytes())
+    table = write_table(tmp_path / "pairs.csv", [{"source": "a.ply", "target": "b.ply"}])
+    assert batch(table).exit_code == 0
+    (tmp_path / "a.ply").write_bytes((project.folder / "c1.ply").read_bytes())
+    again = batch(table)
+    assert "1 finished pairs have other clouds or lengths now" in again.stderr
+    assert rows_of_database(tmp_path / "out", "runs") == [(2,)]
+
+
+def test_files_that_are_missing_or_damaged_fail_their_pairs_alone_and_are_tried_again(batch, project, tmp_path):
+    good = project.folder / "c0.ply"
+    (tmp_path / "damaged.ply").write_bytes(good.read_bytes()[:3000])
+    rows = [
+        {"source": "missing.ply", "target": good},
+        {"source": good, "target": project.folder / "c1.ply"},
+        {"source": good, "target": "damaged.ply"},
+    ]
+    table = write_table(tmp_path / "pairs.csv", rows)
+    result = batch(table)
+    assert result.exit_code == 3
+    assert "missing.ply: no such file" in result.stderr
+    states = [line["state"] for line in lines_of(tmp_path / "out")]
+    assert states[0] == states[2] == "unreadable"
+    assert states[1] in ("registered", "refused")
+    assert "missing.ply" in lines_of(tmp_path / "out")[0]["reason"]
+    assert "damaged.ply" in lines_of(tmp_path / "out")[2]["reason"]
+    for name in ("missing.ply", "damaged.ply"):
+        (tmp_path / name).write_bytes((project.folder / "c2.ply").read_bytes())
+    assert batch(table).exit_code == 0
+    assert rows_of_database(tmp_path / "out", "runs") == [(1,), (2,), (2,)]
+
+
+def test_a_description_that_is_damaged_is_made_again(batch, project, tmp_path):
+    assert batch(project.table).exit_code == 0
+    for file in (tmp_path / "out" / "described").iterdir():
+        file.write_bytes(file.read_bytes()[:1000])
+    again = batch(project.table, "--cache", tmp_path / "out" / "described", out="again")
+    assert again.exit_code == 0
+    assert (tmp_path / "again" / "results.csv").read_bytes() == (tmp_path / "out" / "results.csv").read_bytes()
+
+
+def test_a_full_disk_ends_the_run_and_what_is_finished_stands(batch, project, tmp_path, monkeypatch):
+    write, left = store_module.atomic_write, [2]
+
+    def writes_until_full(path):
+        if "pairs" in Path(path).parts[-2]:
+            left[0] -= 1
+            if left[0] < 0:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return write(path)
+
+    monkeypatch.setattr(store_module, "atomic_write", writes_until_full)
+    stopped = batch(project.table)
+    assert stopped.exit_code == 2
+    assert "No space left" in stopped.stderr
+    assert len(rows_of_database(tmp_path / "out")) == 2
+    monkeypatch.setattr(store_module, "atomic_write", write)
+    assert batch(project.table).exit_code == 0
+    assert rows_of_database(tmp_path / "out", "runs") == [(1,), (1,), (1,)]
+
+
+def test_a_disk_that_is_full_for_descriptions_ends_the_run(batch, project, tmp_path, monkeypatch):
+    def full(path, described):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr("torchreg.batch.jobs.write_described", full)
+    stopped = batch(project.table)
+    assert stopped.exit_code == 2
+    assert "the same command goes on from there" in stopped.stderr
+    assert rows_of_database(tmp_path / "out") == []
+
+
+def test_a_folder_in_use_is_refused(batch, project, tmp_path):
+    (tmp_path / "out").mkdir()
+    with FileLock(tmp_path / "out" / ".lock"):
+        refused = batch(project.table)
+    assert refused.exit_code == 2
+    assert "without a run at work" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("table", "named"),
+    [
+        ("source,goal\na.ply,b.ply\n", "target"),
+        ("source,target\na.ply,b.ply\nc.ply,d.ply\na.ply,b.ply\n", "line 2"),
+        ("source,target,voxel\na.ply,b.ply,wide\n", "column voxel"),
+        ("source,target,voxle\na.ply,b.ply,1\n", "voxle"),
+        ("source,target,effort\na.ply,b.ply,huge\n", "effort"),
+        ("source,target,inlier_threshold\na.ply,b.ply,-1\n", "inlier_threshold"),
+        ("source,target,truth\na.ply,b.ply,1 2 3\n", "truth"),
+        ("source,target\n", "at least one pair"),
+        ("", "empty"),
+    ],
+)
+def test_a_table_that_means_nothing_is_refused_before_any_work(batch, tmp_path, table, named):
+    (tmp_path / "pairs.csv").write_text(table)
+    refused = batch(tmp_path / "pairs.csv")
+    assert refused.exit_code == 2
+    assert named in refused.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_does_not_fit_together_is_refused(batch, run, project, tmp_path):
+    for words, named in [
+        ((), "PAIRS"),
+        ((project.table, "--all-pairs", "*.ply"), "PAIRS"),
+        (("--all-pairs", tmp_path / "*.ply"), "at least two files"),
+        ((project.table, "--ray-address", "auto"), "--engine ray"),
+        ((project.table, "--viewpoint", "there"), "viewpoint"),
+        ((tmp_path / "nothing.csv",), "nothing.csv"),
+    ]:
+        refused = batch(*words)
+        assert refused.exit_code == 2, words
+        assert named in refused.stderr.replace("\n", ""), words
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("precious")
+    refused = batch(project.table, out="full")
+    assert refused.exit_code == 2
+    assert "thesis.txt" in refused.stderr
+    assert run("batch", project.table, "--out", tmp_path / "no" / "such" / "folder").exit_code == 2
