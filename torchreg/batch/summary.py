@@ -18,6 +18,7 @@ class Summary:
 
     Attributes:
         pairs: all.
+        clouds: different files among their sources and targets.
         registered: found and trusted.
         refused: not trusted, each for its reason.
         unreadable: a cloud could not be read.
@@ -34,6 +35,7 @@ class Summary:
     """
 
     pairs: int
+    clouds: int
     registered: int
     refused: int
     unreadable: int
@@ -71,6 +73,7 @@ def summarize(
     worst = sorted(lines, key=_badness)[:_WORST]
     return Summary(
         pairs=len(lines),
+        clouds=len({line[side] for line in lines for side in ("source", "target")}),
         registered=states.count(REGISTERED),
         refused=states.count(REFUSED),
         unreadable=states.count(UNREADABLE),

@@ -22,7 +22,7 @@ def summary_table(summary: Summary) -> Table:
 
 def summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
     """Name and value of every figure but the worst pairs."""
-    yield "pairs", f"{summary.pairs:,}"
+    yield "pairs", f"{summary.pairs:,} of {summary.clouds:,} clouds"
     yield "registered", share(summary.registered, summary.pairs)
     yield "refused", share(summary.refused, summary.pairs)
     if summary.unreadable:

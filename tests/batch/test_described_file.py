@@ -1,0 +1,64 @@
+"""Descriptions on disk are the descriptions, and their names tell all that they depend on."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from determinism import same_bits
+from problems import room_pair
+
+import torchreg as tr
+from torchreg.batch.clouds import digest_of
+from torchreg.batch.described_file import described_name, read_described, write_described
+from torchreg.registration import describe_clouds
+
+OPTIONS = replace(tr.PAPER, normal_radius=0.5, feature_radius=1.2, feature_max_neighbors=30)
+
+
+@pytest.mark.parametrize("colored", [True, False])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_is_written_comes_back(tmp_path, colored, dtype):
+    cloud = room_pair(300, dtype=dtype).source
+    cloud = replace(cloud, colors=cloud.colors if colored else None, viewpoint=cloud.viewpoint if colored else None)
+    described = describe_clouds(cloud, OPTIONS)
+    write_described(tmp_path / "one.pt", described)
+    again = read_described(tmp_path / "one.pt")
+    assert same_bits(again.cloud, described.cloud)
+    assert list(again.descriptors) == list(described.descriptors)
+    assert all(same_bits(again.descriptors[name], item) for name, item in described.descriptors.items())
+    assert (again.spacing, again.facts) == (described.spacing, described.facts)
+
+
+def test_a_cloud_that_cannot_be_registered_keeps_its_reason(tmp_path):
+    write_described(tmp_path / "one.pt", describe_clouds(tr.Clouds(points=torch.ones(9, 3)), OPTIONS))
+    assert "coincide" in read_described(tmp_path / "one.pt").facts[0].defect
+
+
+@pytest.mark.parametrize("content", [b"", b"no zip file", None])
+def test_what_is_no_description_is_none(tmp_path, content):
+    file = tmp_path / "one.pt"
+    if content is not None:
+        file.write_bytes(content)
+    assert read_described(file) is None
+    write_described(file, describe_clouds(room_pair(200).source, OPTIONS))
+    file.write_bytes(file.read_bytes()[:-100])
+    assert read_described(file) is None
+    torch.save({"points": torch.rand(3, 3)}, file)
+    assert read_described(file) is None
+
+
+def test_names_differ_where_anything_does():
+    cloud = room_pair(100).source
+    clouds = [
+        cloud,
+        replace(cloud, colors=None),
+        replace(cloud, origin=cloud.origin + 1),
+        replace(cloud, viewpoint=None),
+    ]
+    clouds.append(replace(cloud, points=cloud.points.double(), colors=cloud.colors.double()))
+    digests = [digest_of(one) for one in clouds]
+    assert len(set(digests)) == len(clouds)
+    assert digest_of(replace(cloud, points=cloud.points.clone())) == digests[0]
+    options = [OPTIONS, *(replace(OPTIONS, **{name: 0.7}) for name in ("voxel_size", "normal_radius", "color_radius"))]
+    names = {described_name(digest, option) for digest in digests for option in options}
+    assert len(names) == len(digests) * len(options)

@@ -1,0 +1,43 @@
+"""Errors of one piece of work, told apart."""
+
+import errno
+
+import pytest
+
+from torchreg.batch.outcome import attempt
+from torchreg.errors import CloudFileError
+
+
+def raising(error):
+    def work():
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("error", "reason", "expected", "no_room"),
+    [
+        (CloudFileError("a.ply: expected a file, got nothing"), "a.ply: expected a file, got nothing", True, False),
+        (ValueError("points: expected more"), "points: expected more", True, False),
+        (FileNotFoundError(errno.ENOENT, "No such file", "b.ply"), "No such file: b.ply", True, False),
+        (OSError(errno.ENOSPC, "No space left on device", "c.pt"), "No space left on device: c.pt", True, True),
+        (OSError(errno.EROFS, "Read-only file system"), "Read-only file system", True, True),
+        (MemoryError(), "out of memory", False, False),
+        (ZeroDivisionError("division by zero"), "unexpected ZeroDivisionError: division by zero", False, False),
+    ],
+)
+def test_an_error_becomes_a_reason(error, reason, expected, no_room):
+    found = attempt(raising(error))
+    assert (found.value, found.reason, found.expected, found.no_room) == (None, reason, expected, no_room)
+
+
+def test_a_value_comes_with_its_time():
+    found = attempt(lambda a, b: a + b, 2, 3)
+    assert (found.value, found.reason) == (5, "")
+    assert found.seconds >= 0
+
+
+def test_an_interrupt_is_no_outcome():
+    with pytest.raises(KeyboardInterrupt):
+        attempt(raising(KeyboardInterrupt()))
