@@ -182,6 +182,25 @@ def test_a_batch_equals_the_loop_over_its_pairs():
             assert same_bits(together.score[begin:end], alone.score)
 
 
+@pytest.mark.parametrize("options", [{}, {"neighbors": 2}, {"ratio": 0.95}])
+def test_hopeless_pairs_in_between_change_nothing(options):
+    pairs = [noisy_pair(n, m, seed=n) for n, m in ((1100, 900), (70, 3), (400, 1500))]
+    nothing, equal = random_values(0, 33), random_values(1, 33).repeat(200, 1)
+    mixed = [pairs[0], (features(nothing), pairs[1][1]), pairs[1], (features(equal), features(equal)), pairs[2]]
+    sides = [
+        features(torch.cat([pair[side].values for pair in mixed]), [len(pair[side].values) for pair in mixed])
+        for side in (0, 1)
+    ]
+    together = tr.match_mutual(*sides, **options)
+    for place, pair in ((0, pairs[0]), (2, pairs[1]), (4, pairs[2])):
+        begin, end = together.offsets[place : place + 2].tolist()
+        alone = tr.match_mutual(*pair, **options)
+        assert torch.equal(together.source[begin:end] - sides[0].offsets[place], alone.source)
+        assert torch.equal(together.target[begin:end] - sides[1].offsets[place], alone.target)
+        assert same_bits(together.score[begin:end], alone.score)
+    assert together.offsets[1] == together.offsets[2]
+
+
 @pytest.mark.parametrize("ratio", [None, 0.9])
 def test_neither_threads_nor_tiles_change_a_bit(ratio):
     source, target = noisy_pair(900, 700, noise=0.5)

@@ -94,13 +94,31 @@ def test_the_error_of_the_product_is_within_its_bound():
         assert (factors.reach(factors.left_norm[:, None], entries, longest) >= distance).all()
 
 
-@pytest.mark.parametrize(("columns", "count"), [(16, 1), (16, 16), (48, 5), (640, 7)])
-def test_the_least_entries_of_a_tile_are_those_of_a_sort(columns, count):
+@pytest.mark.parametrize(
+    ("columns", "width", "count"), [(64, 64, 1), (64, 64, 16), (192, 64, 5), (640, 128, 4), (640, 64, 3)]
+)
+def test_the_least_entries_of_a_tile_are_those_of_a_sort(columns, width, count):
     tile = torch.randint(20, (9, columns), generator=torch.Generator().manual_seed(columns)).float()
-    value, column = least(tile, count)
+    before = tile.clone()
+    value, column = least(tile, width, count)
+    assert torch.equal(tile, before)
     assert torch.equal(value, tile.sort(dim=1).values[:, :count])
     assert torch.equal(tile.gather(1, column), value)
     assert all(len(row.unique()) == count for row in column)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 63, 64, 65, 1000, 1100, 5000, 8100])
+def test_columns_make_groups_of_one_width_and_padding_is_never_near(rows):
+    table = torch.rand(rows, 5, generator=torch.Generator().manual_seed(rows))
+    factors = product(table[:7], table, table.double().mean(dim=0), torch.float32)
+    columns = factors.right.shape[1]
+    assert columns % factors.width == 0
+    assert rows <= columns < rows + factors.width
+    tile = factors.left @ factors.right
+    assert torch.isinf(tile[:, rows:]).all()
+    value, column = least(tile, factors.width, min(rows, 4))
+    assert (column < rows).all()
+    assert torch.equal(value, tile[:, :rows].sort(dim=1).values[:, : min(rows, 4)])
 
 
 def test_no_more_rows_come_back_than_there_are():

@@ -59,7 +59,7 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
     """
     total = _sum(weights)
     share = weights / torch.where(total > 0, total, torch.ones_like(total))[:, None]  # (S, K)
-    p, q = source[:, members], target[:, members]  # (3, S, K)
+    p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, S, K)
     mean_p, mean_q = _sum(p * share), _sum(q * share)  # (3, S)
     p, q = p - mean_p[..., None], q - mean_q[..., None]
     weighted = p * share
@@ -76,7 +76,8 @@ def _largest(counts: Tensor, number: int) -> Tensor:
 
 
 def _subgraphs(graph: Tensor, members: Tensor) -> Tensor:
-    return graph.flatten()[members[:, :, None] * len(graph) + members[:, None, :]]  # (N, K, K)
+    places = members[:, :, None] * len(graph) + members[:, None, :]  # (N, K, K)
+    return graph.flatten().index_select(0, places.flatten()).view(places.shape)
 
 
 def _leading(agreement: Tensor) -> Tensor:

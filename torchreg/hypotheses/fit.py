@@ -35,12 +35,12 @@ def _moments(
     row, column = inliers.nonzero().unbind(1)  # (T,), the inliers of all hypotheses
     places = sums.places(row, torch.arange(len(row), device=row.device) - (support.cumsum(0) - support)[row])
     number = pair[row] * columns + column
-    p, q = (side.flatten(1)[:, number] for side in (points.source, points.target))  # (3, T)
+    p, q = (side.flatten(1).index_select(1, number) for side in (points.source, points.target))  # (3, T)
     total = support.double().clamp(min=1)
     means = []
     for side in (p, q):
         mean = torch.stack([sums.placed(values, places, rows) for values in side]) / total
-        side -= mean[:, row]
+        side -= mean.index_select(1, row)
         means.append(mean)
     covariance = torch.stack([sums.placed(a * b, places, rows) for a in p for b in q])  # (9, R)
     sums.clear(places)

@@ -90,8 +90,11 @@ def score(
     pieces = list(row_chunks(len(pair), -(-columns // BLOCK) * BLOCK, _SCORE_ELEMENTS))
     sums = RowSums(pieces[0].stop if pieces else 0, columns, pair.device)
     for rows in pieces:
-        own = 0 if len(points.counts) == 1 else pair[rows]  # one pair's points need no copy
-        square = residuals(rotation[..., rows], translation[:, rows], points.source[:, own], points.target[:, own])
+        own = pair[rows]
+        near = (points.source[:, 0], points.target[:, 0])  # one pair's points need no copy
+        if len(points.counts) > 1:
+            near = (points.source.index_select(1, own), points.target.index_select(1, own))
+        square = residuals(rotation[..., rows], translation[:, rows], *near)
         inside = (square < limit[rows, None]).logical_and_(points.valid[own])
         inliers[rows] = inside
         error[rows] = sums(square.masked_fill_(inside.logical_not_(), 0.0))

@@ -69,7 +69,7 @@ def _match_pair(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Global source rows, global target rows and feature distances of one pair."""
     of_source, of_target = _usable(source, *source_rows), _usable(target, *target_rows)
-    left, right = source.values[of_source], target.values[of_target]
+    left, right = source.values.index_select(0, of_source), target.values.index_select(0, of_target)
     if len(left) == 0 or len(right) == 0:
         return of_source[:0], of_target[:0], left.new_zeros(0)
     forth = feature_nearest(left, right, neighbors if ratio is None else 2)

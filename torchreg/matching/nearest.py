@@ -53,7 +53,7 @@ def feature_nearest(query: Tensor, table: Tensor, count: int = 1) -> FeatureNear
     others = factors.left.new_full((count, len(table)), float("inf"))
     longest = factors.right_norm.amax()
     for rows, tile in tile_rows(factors.left, factors.right):
-        value[rows], row[rows] = least(tile, several)
+        value[rows], row[rows] = least(tile, factors.width, several)
         last, norm = value[rows, count - 1].double(), factors.left_norm[rows]
         limit[rows] = last + 2 * factors.error(norm, factors.reach(norm, last, longest))
         clear = _clear(value[rows], limit[rows], count)[:, None]

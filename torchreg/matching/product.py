@@ -14,7 +14,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-_GROUPS = 16
+_LANES = 64  # float32 that PyTorch's least of rows takes at once; it reads what is left over one by one
+_GROUPS = 16  # of columns, about
+_ONE_BY_ONE = 4  # least entries that are found faster one after another than by ``topk``
 
 
 class Product(NamedTuple):
@@ -26,6 +28,7 @@ class Product(NamedTuple):
         left_norm: (N,) float64, length of the centered queries.
         right_norm: (M,) float64, length of the centered rows of the table.
         scale: () float64, a power of two.
+        width: members of a group of columns are so far apart; a divisor of M'.
     """
 
     left: Tensor
@@ -33,6 +36,7 @@ class Product(NamedTuple):
     left_norm: Tensor
     right_norm: Tensor
     scale: Tensor
+    width: int
 
     def error(self, norm: Tensor, distance: Tensor) -> Tensor:
         """Largest error of entries whose true distance is at most ``distance`` (...), scaled; (...) float64.
@@ -68,24 +72,36 @@ def product(query: Tensor, table: Tensor, center: Tensor, dtype: torch.dtype) ->
     scale = torch.full_like(center[0], 2) ** exponent
     left, right = (left / scale).to(dtype), (right / scale).to(dtype)
     a, b = left.double().square().sum(dim=1), right.double().square().sum(dim=1)
-    padding = -len(table) % _GROUPS
+    width = _LANES * max(1, len(table) // (_LANES * _GROUPS))
+    padding = -len(table) % width
     columns = torch.cat([-2 * right, b[:, None].to(dtype), torch.ones_like(right[:, :1])], dim=1).t()  # (D + 2, M)
     columns = torch.nn.functional.pad(columns, (0, padding)).contiguous()  # (D + 2, M')
     columns[-2, len(table) :] = float("inf")
     rows = torch.cat([left, torch.ones_like(left[:, :1]), a[:, None].to(dtype)], dim=1)
-    return Product(rows, columns, a.sqrt(), b.sqrt(), scale)
+    return Product(rows, columns, a.sqrt(), b.sqrt(), scale, width)
 
 
-def least(tile: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def least(tile: Tensor, width: int, count: int) -> tuple[Tensor, Tensor]:
     """The ``count`` least entries of every row of a tile (R, M') and their columns, (R, count) each, ascending.
 
-    The least of 16 interleaved groups of columns come first, at the speed of the memory; the ``count`` least
-    entries lie in the groups with the ``count`` least of those. Measured: half the time of ``min(dim=1)``.
+    Columns ``width`` apart make a group. The least of every group come first, at the speed of the memory; the
+    ``count`` least entries lie in the groups with the ``count`` least of those. So many of a row must be finite.
     """
-    width = tile.shape[1] // _GROUPS
-    groups = tile.view(-1, _GROUPS, width).amin(dim=1)  # (R, M' / 16)
-    place = groups.topk(min(count, width), largest=False, sorted=False).indices  # (R, count)
-    member = torch.arange(_GROUPS, device=tile.device) * width
-    column = (place[:, :, None] + member).flatten(1)  # (R, 16 count)
-    value, order = tile.gather(1, column).topk(count, largest=False)
+    groups = tile.view(len(tile), -1, width).amin(dim=1)  # (R, width)
+    _, place = _ascending(groups, min(count, width))
+    member = torch.arange(0, tile.shape[1], width, device=tile.device)
+    column = (place[:, :, None] + member).flatten(1)  # (R, count M' / width)
+    value, order = _ascending(tile.gather(1, column), count)
     return value, column.gather(1, order)
+
+
+def _ascending(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The ``count`` least of every row (R, C) and their columns; a few of them one by one, overwriting them."""
+    if count > _ONE_BY_ONE:
+        value, column = values.topk(count, largest=False)
+        return value, column
+    found = []
+    for _ in range(count):
+        found.append(values.min(dim=1, keepdim=True))
+        values.scatter_(1, found[-1].indices, float("inf"))
+    return torch.cat([each.values for each in found], dim=1), torch.cat([each.indices for each in found], dim=1)

@@ -99,4 +99,4 @@ def row_distance(left: Tensor, right: Tensor) -> Tensor:
 def pair_distance(left: Tensor, right: Tensor, i: Tensor, j: Tensor) -> Tensor:
     """Exact distances (K,) float64 of rows ``left[i]`` and ``right[j]``, in pieces of bounded memory."""
     pieces = zip(i.split(_CANDIDATES), j.split(_CANDIDATES), strict=True)
-    return torch.cat([row_distance(left[one], right[other]) for one, other in pieces])
+    return torch.cat([row_distance(left.index_select(0, one), right.index_select(0, other)) for one, other in pieces])
