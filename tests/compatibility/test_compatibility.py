@@ -15,6 +15,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.compatibility import compatibility_poses
+from torchreg.compatibility import solve as module
 from torchreg.datasets import match_problem
 from torchreg.hypotheses.distinct import pose_vectors
 
@@ -234,3 +235,20 @@ def test_what_does_not_fit_is_refused():
     for name, value in (("nodes", 2), ("nodes", 4096), ("members", 2), ("partners", 5), ("inlier_threshold", 0.0)):
         with pytest.raises(ValueError, match=name):
             replace(OPTIONS, **{name: value})
+
+
+@pytest.mark.parametrize("sets", [1, 500, 1 << 20])
+def test_how_many_sets_are_fitted_together_does_not_show(sets, monkeypatch):
+    problems = [match_problem(count, 0.7, seed=count) for count in (60, 300, 4, 25)]
+    options = [
+        tr.CompatibilityOptions(nodes=200, partners=partners, members=members)
+        for partners, members in ((30, 20), (9, 5), (30, 20), (40, 31))
+    ]
+    alone = [
+        compatibility_poses(problem.source, problem.target, problem.matches, [own])[0]
+        for problem, own in zip(problems, options, strict=True)
+    ]
+    monkeypatch.setattr(module, "_SETS", sets)
+    together = compatibility_poses(*pack_problems(problems), options)
+    assert all(same_bits(tuple(one), tuple(other)) for one, other in zip(together, alone, strict=True))
+    assert sum(len(poses.support) > 0 for poses in together) >= 3

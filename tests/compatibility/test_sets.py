@@ -3,6 +3,7 @@
 import pytest
 import torch
 from closeness import close
+from determinism import same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -75,6 +76,19 @@ def test_the_fit_is_kabsch_with_the_weights(count):
         best = expected[:3, :3] @ source[:, members[s]] + expected[:3, 3:]
         cost = [((points - target[:, members[s]]).square().sum(dim=0) * weights[s]).sum() for points in (*moved, best)]
         assert close(cost[0], cost[1], atol=1e-9)
+
+
+def test_a_set_has_its_bits_whatever_is_fitted_beside_it():
+    generator = torch.Generator().manual_seed(8)
+    source, target = torch.randn(2, 3, 50, dtype=torch.float64, generator=generator)
+    members = torch.randint(50, (3000, 7), generator=generator)
+    weights = torch.randint(0, 9, (3000, 7), generator=generator).double()
+    together = fit_sets(source, target, members, weights)
+    wider = [torch.nn.functional.pad(values, (0, 4)) for values in (members, weights)]  # members without weight
+    assert same_bits(fit_sets(source, target, *wider), together)
+    for rows in (slice(0, 1), slice(1500, 1520), slice(2999, 3000)):
+        alone = fit_sets(source, target, members[rows], weights[rows])
+        assert same_bits(alone, tuple(part[..., rows].contiguous() for part in together))
 
 
 def test_sets_on_a_line_or_at_a_place_do_not_fix_a_rotation():

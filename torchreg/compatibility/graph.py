@@ -46,7 +46,7 @@ def first_order(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     """A (N, N) float32 of zeros and ones of correspondences (3, N) twice, the diagonal zero."""
     count = source.shape[1]
     graph = torch.empty(count, count, dtype=torch.float32, device=source.device)
-    spare = source.new_empty(3, max(count, TILE_ELEMENTS))
+    spare = source.new_empty(3, min(count * count, max(count, TILE_ELEMENTS)))
     for rows in row_chunks(count, count, TILE_ELEMENTS):
         graph[rows] = agreeing(source[:, rows], target[:, rows], (source, target), threshold, spare)
     return graph.fill_diagonal_(0)

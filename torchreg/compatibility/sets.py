@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchreg.compatibility.graph import second_order
+from torchreg.geometry.chunks import row_chunks
 from torchreg.geometry.kabsch import from_moments
 
 _ITERATIONS = 4
@@ -57,11 +58,22 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
     Returns:
         Rotations (3, 3, S), translations (3, S), and which sets (S,) fix the rotation: spread across a line.
     """
+    parts = [
+        _fit(source, target, members[rows].t(), weights[rows].t().contiguous())
+        for rows in row_chunks(len(members), 9 * members.shape[1])
+    ]
+    none = (source.new_zeros(3, 3, 0), source.new_zeros(3, 0), weights.new_zeros(0, dtype=torch.bool))
+    rotation, translation, fixed = (torch.cat(part, dim=-1) for part in zip(none, *parts, strict=True))
+    return rotation, translation, fixed
+
+
+def _fit(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """``fit_sets`` of members and weights (K, S)."""
     total = _sum(weights)
-    share = weights / torch.where(total > 0, total, torch.ones_like(total))[:, None]  # (S, K)
-    p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, S, K)
+    share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
+    p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
     mean_p, mean_q = _sum(p * share), _sum(q * share)  # (3, S)
-    p, q = p - mean_p[..., None], q - mean_q[..., None]
+    p, q = p - mean_p[:, None], q - mean_q[:, None]
     weighted = p * share
     covariance = _sum(weighted[:, None] * q[None])  # (3, 3, S)
     T = from_moments(mean_p.t(), mean_q.t(), covariance.permute(2, 0, 1))
@@ -98,8 +110,8 @@ def _spans_plane(covariance: Tensor) -> Tensor:
 
 
 def _sum(values: Tensor) -> Tensor:
-    """Over the last dimension, one after another."""
-    total = torch.zeros_like(values[..., 0])
-    for column in values.unbind(dim=-1):
-        total = total + column
+    """Over the last dimension but one, one after another."""
+    total = torch.zeros_like(values[..., 0, :])
+    for row in values.unbind(dim=-2):
+        total += row
     return total

@@ -1,12 +1,12 @@
-"""The pairs of a batch, for any solver: hypotheses pair by pair, and what becomes of them for many pairs together.
+"""The pairs of a batch, for any solver, in groups.
 
 A tensor operation on a few hundred matches costs more than its arithmetic. So pairs with similar numbers of matches
-are centered, scored and refitted in groups, whose size is bounded by memory and does not show in any result.
+are centered, solved, scored and refitted together. The size of a group is bounded by memory; it shows in no result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 import torch
@@ -41,7 +41,7 @@ def poses_of_pairs(
     source: Clouds,
     target: Clouds,
     matches: Correspondences,
-    solve: Callable[[MatchedPoints, Options], Found],
+    solve: Callable[[Sequence[MatchedPoints], Sequence[Options]], Iterable[Found]],
     options: Sequence[Options],
     *,
     least: Sequence[int],
@@ -53,7 +53,7 @@ def poses_of_pairs(
         source: B clouds.
         target: B clouds.
         matches: correspondences between them, global rows.
-        solve: from the matched points of one pair and its options to hypotheses.
+        solve: from the matched points of some pairs and their options to hypotheses of each, in order.
         options: one per pair.
         least: matches that the solver needs, per pair.
         seed: of the call.
@@ -94,13 +94,15 @@ def _groups(pairs: Sequence[int], counts: Sequence[int]) -> Iterator[list[int]]:
 
 
 def _solve_group(
-    group: Group, solve: Callable[[MatchedPoints, Options], Found], options: Sequence[Options]
+    group: Group,
+    solve: Callable[[Sequence[MatchedPoints], Sequence[Options]], Iterable[Found]],
+    options: Sequence[Options],
 ) -> Iterator[tuple[int, PairPoses]]:
     """The places of the pairs in the group, and their poses, as they come."""
     waiting: dict[int, Found] = {}
     stored = 0
-    for place, own in enumerate(options):
-        found = solve(group.pair(place), own)
+    pairs = [group.pair(place) for place in range(len(options))]
+    for place, found in enumerate(solve(pairs, options)):
         if found.proposals is None:
             yield place, no_pose(found, group.points.counts[place], group.points.source.device)
             continue

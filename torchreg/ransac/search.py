@@ -1,8 +1,9 @@
-"""The search for the best hypotheses of one pair: sample -> prune -> solve -> count."""
+"""The search for the best hypotheses of pairs: sample -> prune -> solve -> count."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 
 from torch import Tensor
 
@@ -16,13 +17,18 @@ from torchreg.ransac.sampling import sample_rounds
 from torchreg.types import RansacOptions
 
 
-def search(points: MatchedPoints, options: RansacOptions) -> Found:
-    """Find the hypotheses with the most inliers.
+def search(points: Sequence[MatchedPoints], options: Sequence[RansacOptions]) -> Iterator[Found]:
+    """Find the hypotheses with the most inliers, of every pair, one after another.
 
     Args:
-        points: of one pair.
-        options: what to draw and accept.
+        points: of each pair.
+        options: what to draw and accept, for each.
     """
+    for own, option in zip(points, options, strict=True):
+        yield _search(own, option)
+
+
+def _search(points: MatchedPoints, options: RansacOptions) -> Found:
     source, target, threshold = points.source, points.target, options.inlier_threshold
     count = source.shape[1]
     dtype = proposal_dtype(source, target, threshold)
