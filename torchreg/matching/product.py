@@ -14,9 +14,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-_LANES = 64  # float32 that PyTorch's least of rows takes at once; it reads what is left over one by one
-_GROUPS = 16  # of columns, about
-_ONE_BY_ONE = 4  # least entries that are found faster one after another than by ``topk``
+_GROUPS = 16  # of columns, in large tables
+_LANES = 64  # float32 that PyTorch's least of rows takes at once, and what is left over singly: shows in small tables
+_ONE_BY_ONE = 4  # so few least entries
+_NARROW = 256  # of so few are found faster one after another than by ``topk``
 
 
 class Product(NamedTuple):
@@ -72,7 +73,7 @@ def product(query: Tensor, table: Tensor, center: Tensor, dtype: torch.dtype) ->
     scale = torch.full_like(center[0], 2) ** exponent
     left, right = (left / scale).to(dtype), (right / scale).to(dtype)
     a, b = left.double().square().sum(dim=1), right.double().square().sum(dim=1)
-    width = _LANES * max(1, len(table) // (_LANES * _GROUPS))
+    width = _LANES if len(table) <= 2 * _GROUPS * _LANES else -(-len(table) // _GROUPS)
     padding = -len(table) % width
     columns = torch.cat([-2 * right, b[:, None].to(dtype), torch.ones_like(right[:, :1])], dim=1).t()  # (D + 2, M)
     columns = torch.nn.functional.pad(columns, (0, padding)).contiguous()  # (D + 2, M')
@@ -97,7 +98,7 @@ def least(tile: Tensor, width: int, count: int) -> tuple[Tensor, Tensor]:
 
 def _ascending(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """The ``count`` least of every row (R, C) and their columns; a few of them one by one, overwriting them."""
-    if count > _ONE_BY_ONE:
+    if count > _ONE_BY_ONE or values.shape[1] > _NARROW:
         value, column = values.topk(count, largest=False)
         return value, column
     found = []

@@ -46,7 +46,7 @@ def fitting_slack(source: Tensor, target: Tensor, threshold: float) -> float:
 
 
 def spans_plane(points: Tensor) -> Tensor:
-    """(R,) bool: the first three points of samples (3, S, R) are not nearly on a line."""
+    """(...) bool: the first three points of samples (3, S, ...) are not nearly on a line."""
     u, v = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
     normal = torch.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
     return _square(normal) > (_MIN_SINE * _MIN_SINE) * (_square(u) * _square(v))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import torch
 from torch import Tensor
 
 from torchreg.hypotheses import Found, MatchedPoints, Proposals, proposal_dtype
@@ -43,7 +44,7 @@ def _search(points: MatchedPoints, options: RansacOptions) -> Found:
         similar, samples = edges.sift(samples)
         kept += similar
         sample_p, sample_q = _columns(p, samples), _columns(q, samples)  # (3, S, K)
-        solvable = spans_plane(sample_p) & spans_plane(sample_q)
+        solvable = spans_plane(torch.stack([sample_p, sample_q], dim=2)).all(dim=0)
         rotation, translation = solve_samples(sample_p, sample_q)
         fits = sample_fits(sample_p, sample_q, rotation, translation, threshold) & solvable
         passed = fits.nonzero()[:, 0]
