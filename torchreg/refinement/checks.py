@@ -10,8 +10,8 @@ from torch import Tensor
 from torchreg.errors import expect
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.refinement.options import IcpOptions
+from torchreg.refinement.pairing import Pairing
 from torchreg.types import Clouds
-from torchreg.types.packing import spans
 
 _RIGID = 1e-3  # largest entry of R R^T - I that passes for rounding
 _LARGEST = 1e100  # coordinates whose squares and their sums stay finite
@@ -38,25 +38,36 @@ def expect_attributes(source: Clouds, target: Clouds, kind: str) -> None:
         expect(target.colors is not None, "target", f"colors, which kind={kind!r} needs", "none")
 
 
-def broken(source: Clouds, target: Clouds, T: Tensor, options: Sequence[IcpOptions]) -> list[str]:
+def broken(source: Clouds, target: Clouds, pairing: Pairing, T: Tensor, options: Sequence[IcpOptions]) -> list[str]:
     """Why a pair cannot begin, empty where it can."""
     finite = torch.isfinite(T).all(dim=2).all(dim=1)
     R = T[:, :3, :3]
     square = apply_rotation(R[:, None], R)  # (B, 3, 3): R R^T, transposed
     unit = ((square - torch.eye(3, dtype=T.dtype, device=T.device)).abs() < _RIGID).all(dim=2).all(dim=1)
     last = (T[:, 3] == T.new_tensor([0.0, 0.0, 0.0, 1.0])).all(dim=1)
+    flaws: dict[tuple[str, int, str], str] = {}
+
+    def flaw(clouds: Clouds, side: str, number: int, kind: str) -> str:
+        key = side, number, kind
+        if key not in flaws:
+            flaws[key] = _flaw(clouds, side, number, kind)
+        return flaws[key]
+
     reasons = []
-    for b, (one, other) in enumerate(zip(spans(source.offsets), spans(target.offsets), strict=True)):
-        bad = _flaw(source, *one, "source", b, options[b].kind) or _flaw(target, *other, "target", b, options[b].kind)
-        if not bool(finite[b]):
+    for one, other, option, is_finite, is_rigid in zip(
+        *pairing, options, finite.tolist(), (unit & last).tolist(), strict=True
+    ):
+        bad = flaw(source, "source", one, option.kind) or flaw(target, "target", other, option.kind)
+        if not is_finite:
             bad = "the transform to start from is not finite"
-        elif not bool(unit[b] & last[b]):
+        elif not is_rigid:
             bad = "the transform to start from is not rigid"
         reasons.append(bad)
     return reasons
 
 
-def _flaw(clouds: Clouds, begin: int, end: int, side: str, b: int, kind: str) -> str:
+def _flaw(clouds: Clouds, side: str, b: int, kind: str) -> str:
+    begin, end = clouds.offsets[b : b + 2].tolist()
     if begin == end:
         return f"the {side} is empty"
     needed = {"points": clouds.points[begin:end], "origin": clouds.origin[b]}

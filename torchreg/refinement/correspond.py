@@ -9,6 +9,7 @@ result is that of a full search, yet in most iterations of ICP hardly a point is
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -28,8 +29,8 @@ class Target:
 
     Attributes:
         values: (A, N) float64: x, y, z about each cloud's center, then whatever else a correspondence carries.
-        first: row of every cloud's first point.
-        search: in the points of each cloud; rows count from its first point.
+        first: for every pair, the row of its cloud's first point.
+        search: for every pair, in the points of its cloud; rows count from the first. Pairs may share a cloud.
     """
 
     values: Tensor
@@ -119,13 +120,13 @@ class Correspondence:
         few = rows.new_zeros(len(rows), FEW)
         full = torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
         begin = 0
-        for pair, end in zip(self.pairs, cuts, strict=True):
+        for end, search, first in _runs(self._target, self.pairs, cuts):
             if end > begin:
-                found = self._target.search[pair](queries[begin:end])
+                found = search(queries[begin:end])
                 width = found.shape[1]
                 few[begin:end, :width] = found
                 few[begin:end, width:] = found[:, -1:]  # a target of fewer points, which has no others
-                few[begin:end] += self._target.first[pair]
+                few[begin:end] += first
                 full[begin:end] = width == FEW
             begin = end
         for part in row_chunks(len(rows), 1, _CHUNK_ROWS):
@@ -153,6 +154,14 @@ class Correspondence:
         self._nearest.view(-1).index_copy_(0, rows, torch.minimum(first, others))
         self._second.view(-1).index_copy_(0, rows, torch.minimum(second, others))
         return first
+
+
+def _runs(target: Target, pairs: list[int], ends: list[int]) -> Iterator[tuple[int, Search, int]]:
+    """Where the rows of pairs with one target end, their search and its first row: one call serves them all."""
+    for place, (pair, end) in enumerate(zip(pairs, ends, strict=True)):
+        last = place + 1 == len(pairs)
+        if last or target.search[pairs[place + 1]] is not target.search[pair]:
+            yield end, target.search[pair], target.first[pair]
 
 
 def gather(values: Tensor, row: Tensor) -> Tensor:

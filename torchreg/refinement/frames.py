@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchreg.geometry.chunks import stable_sum
 from torchreg.geometry.se3 import apply_rotation, rigid
+from torchreg.refinement.pairing import Pairing
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
@@ -33,9 +34,10 @@ class Frames(NamedTuple):
     target_origin: Tensor
 
 
-def centered_frames(source: Clouds, target: Clouds) -> Frames:
+def centered_frames(source: Clouds, target: Clouds, pairing: Pairing) -> Frames:
     """The frames of B pairs of finite, not empty clouds."""
-    return Frames(_means(source), _means(target), source.origin, target.origin)
+    one, other = list(pairing.source), list(pairing.target)
+    return Frames(_means(source)[one], _means(target)[other], source.origin[one], target.origin[other])
 
 
 def enter(frames: Frames, T_target_source: Tensor) -> tuple[Tensor, Tensor]:

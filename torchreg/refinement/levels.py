@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import torch
@@ -20,6 +21,7 @@ from torchreg.refinement.kernels import BY_NAME
 from torchreg.refinement.loop import Criteria, State, Work, iterate
 from torchreg.refinement.nearest_few import Search, few_nearest
 from torchreg.refinement.options import IcpLevel, IcpOptions
+from torchreg.refinement.pairing import Pairing, among, numbered
 from torchreg.refinement.point_to_plane import point_to_plane
 from torchreg.refinement.point_to_point import point_to_point
 from torchreg.types import Clouds
@@ -32,14 +34,23 @@ class Prepared(NamedTuple):
     source: Clouds
     target: Clouds
     search: tuple[Search, ...]
+    pairing: Pairing
 
 
-def refine_levels(source: Clouds, target: Clouds, frames: Frames, options: Sequence[IcpOptions], state: State) -> None:
+def refine_levels(
+    source: Clouds,
+    target: Clouds,
+    pairing: Pairing,
+    frames: Frames,
+    options: Sequence[IcpOptions],
+    state: State,
+) -> None:
     """Take all pairs of ``state`` through the levels of their options.
 
     Args:
-        source: B clouds, finite and not empty.
-        target: B clouds likewise, with the normals and colors that the kind needs.
+        source: clouds, finite and not empty.
+        target: clouds likewise, with the normals and colors that the kind needs.
+        pairing: which of them make up the B pairs.
         frames: of the B pairs.
         options: B of them, alike in kind, kernel and number of levels.
         state: where the pairs start from; in the end, where they stand.
@@ -48,31 +59,33 @@ def refine_levels(source: Clouds, target: Clouds, frames: Frames, options: Seque
     ready: tuple[object, Prepared] | None = None
     for steps in zip(*(option.steps for option in options), strict=True):
         pairs = [b for b in pairs if not state.failed[b]]
+        if not pairs:
+            return
         voxels = {b: steps[b].voxel_size for b in pairs}
         if ready is None or ready[0] != voxels:
-            thin = _thinned(source, target, voxels, state)
+            thin = _thinned(source, target, pairing, voxels, state)
             pairs = [b for b in pairs if not state.failed[b]]
             if not pairs:
                 return
             ready = (voxels if len(pairs) == len(voxels) else None, prepare(*thin, _of(frames, pairs)))
-        elif not pairs:
-            return
         part = _part(state, pairs)
         _run(ready[1], _of(frames, pairs), [options[b] for b in pairs], [steps[b] for b in pairs], part)
         write(state, pairs, part)
 
 
-def prepare(source: Clouds, target: Clouds, frames: Frames) -> Prepared:
-    """Bring B pairs into their centered frames and in Z order, and build the targets' trees."""
-    source, target = _centered(source, frames.source_center), _centered(target, frames.target_center)
-    return Prepared(source, target, tuple(few_nearest(target.points[i:j]) for i, j in spans(target.offsets)))
+def prepare(source: Clouds, target: Clouds, pairing: Pairing, frames: Frames) -> Prepared:
+    """Bring the clouds of B pairs into their centered frames and in Z order, and build the targets' trees."""
+    source = _centered(source, _of_clouds(frames.source_center, pairing.source, len(source)))
+    target = _centered(target, _of_clouds(frames.target_center, pairing.target, len(target)))
+    search = tuple(few_nearest(target.points[i:j]) for i, j in spans(target.offsets))
+    return Prepared(source, target, search, pairing)
 
 
 def _run(
     ready: Prepared, frames: Frames, options: Sequence[IcpOptions], steps: Sequence[IcpLevel], state: State
 ) -> None:
     """One level of all pairs."""
-    source, device = ready.source, ready.source.device
+    device, (of_source, of_target) = ready.source.device, ready.pairing
     state.converged[:] = [False] * len(options)
 
     def numbers(values: Sequence[float]) -> Tensor:
@@ -86,11 +99,17 @@ def _run(
         relative_fitness=[option.relative_fitness for option in options],
         relative_rmse=[option.relative_rmse for option in options],
     )
-    blocks = Blocks.of(source.lengths, device)
-    estimator, values, extra = _estimator(ready, options[0], criteria.max_distance)
-    searched = Target(values.t().contiguous(), tuple(i for i, _ in spans(ready.target.offsets)), ready.search)
-    matches = Correspondence(blocks, blocks.fill(source.points), searched, criteria.max_distance)
-    work = Work(matches, blocks.fill(extra), numbers(source.lengths))
+    sources, first = [spans(ready.source.offsets)[b] for b in of_source], ready.target.offsets.tolist()
+    lengths = [end - begin for begin, end in sources]
+    rows = torch.cat([torch.arange(begin, end) for begin, end in sources]).to(device)
+    blocks = Blocks.of(lengths, device)
+    radius = _of_clouds(criteria.max_distance, of_target, len(ready.target))
+    estimator, values, extra = _estimator(ready, options[0], radius)
+    searched = Target(
+        values.t().contiguous(), tuple(first[b] for b in of_target), tuple(ready.search[b] for b in of_target)
+    )
+    matches = Correspondence(blocks, blocks.fill(ready.source.points[rows]), searched, criteria.max_distance)
+    work = Work(matches, blocks.fill(extra[rows]), numbers(lengths))
     iterate(work, frames.target_center, estimator, criteria, state)
 
 
@@ -109,21 +128,36 @@ def _estimator(ready: Prepared, options: IcpOptions, max_distance: Tensor) -> tu
     return colored(kernel), values, intensity_of(source.colors)[:, None]
 
 
-def _thinned(source: Clouds, target: Clouds, voxels: dict[int, float | None], state: State) -> tuple[Clouds, Clouds]:
+def _thinned(
+    source: Clouds, target: Clouds, pairing: Pairing, voxels: dict[int, float | None], state: State
+) -> tuple[Clouds, Clouds, Pairing]:
     """The clouds of the pairs named, averaged over their voxels; a pair whose voxels cannot be numbered fails."""
-    sources, targets = source.unpack(), target.unpack()
-    found = []
-    for b, size in voxels.items():
-        if size is None:
-            found.append((sources[b], targets[b]))
-            continue
+    one, other, numbers = among(source, target, pairing, list(voxels))
+    if all(size is None for size in voxels.values()):
+        return one, other, numbers
+    sides = one.unpack(), other.unpack()
+
+    @cache
+    def thin(side: int, number: int, size: float | None) -> Clouds:
+        return sides[side][number] if size is None else voxel_downsample(sides[side][number], size)
+
+    keys: list[tuple[tuple[int, int, float | None], tuple[int, int, float | None]]] = []
+    for (b, size), of_source, of_target in zip(voxels.items(), *numbers, strict=True):
+        key = (0, of_source, size), (1, of_target, size)
         try:
-            found.append((voxel_downsample(sources[b], size), voxel_downsample(targets[b], size)))
+            thin(*key[0]), thin(*key[1])
         except ValueError as error:
             state.failed[b] = str(error)
-    if not found:
-        return source, target
-    return Clouds.pack([one for one, _ in found]), Clouds.pack([other for _, other in found])
+        else:
+            keys.append(key)
+    if not keys:
+        return one, other, numbers
+    (sources, of_sources), (targets, of_targets) = (numbered(side) for side in zip(*keys, strict=True))
+    return (
+        Clouds.pack([thin(*key) for key in sources]),
+        Clouds.pack([thin(*key) for key in targets]),
+        Pairing(of_sources, of_targets),
+    )
 
 
 def _centered(clouds: Clouds, center: Tensor) -> Clouds:
@@ -138,6 +172,13 @@ def _centered(clouds: Clouds, center: Tensor) -> Clouds:
         colors=None if wide.colors is None else wide.colors[order],
         normals=None if wide.normals is None else wide.normals[order],
     )
+
+
+def _of_clouds(values: Tensor, which: Sequence[int], clouds: int) -> Tensor:
+    """What pairs have (B, ...) as what their clouds (S, ...) have; pairs that share a cloud have the same."""
+    out = values.new_zeros(clouds, *values.shape[1:])
+    out[list(which)] = values
+    return out
 
 
 def _of(frames: Frames, pairs: list[int]) -> Frames:
