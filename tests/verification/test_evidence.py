@@ -10,6 +10,7 @@ from scenes import FURNISHED, moved_pair
 import torchreg as tr
 from torchreg.geometry.se3 import inverse
 from torchreg.verification.evidence import evidence
+from torchreg.verification.side import in_step
 from torchreg.verification.view import view
 
 THRESHOLD, SPACING = 0.15, 0.1
@@ -20,8 +21,11 @@ def prepared(cloud, sample=1500):
     return view(tr.estimate_normals(cloud, near), SPACING, sample)
 
 
-def weigh(source, target, T):
-    return evidence(source, target, T[None, :3, :3], T[None, :3, 3], THRESHOLD)
+def weigh(source, target, *poses):
+    T = torch.stack(poses)
+    limit = torch.tensor([THRESHOLD], dtype=torch.float64)
+    one, other = in_step([source], limit), in_step([target], limit)
+    return evidence(one, other, torch.zeros(len(T), dtype=torch.int64), T[:, :3, :3], T[:, :3, 3], limit)
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +111,8 @@ def test_many_poses_are_weighed_as_each_alone(room):
     poses = T.repeat(4, 1, 1)
     poses[:, 0, 3] += torch.linspace(0, 1, 4, dtype=torch.float64)
     one, other = prepared(source), prepared(target)
-    together = evidence(one, other, poses[:, :3, :3], poses[:, :3, 3], THRESHOLD)
+    together = weigh(one, other, *poses)
     for h in range(4):
-        alone = evidence(one, other, poses[h : h + 1, :3, :3], poses[h : h + 1, :3, 3], THRESHOLD)
+        alone = weigh(one, other, poses[h])
         for joint, single in zip(together, alone, strict=True):
             assert torch.equal(joint[h : h + 1].nan_to_num(), single.nan_to_num())

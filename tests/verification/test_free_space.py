@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from torchreg.verification.free_space import range_image, sight
+from torchreg.verification.free_space import range_image, side_by_side
+from torchreg.verification.free_space import sight as sights
 
 SPACING = 0.05
 
@@ -11,6 +12,13 @@ SPACING = 0.05
 def sphere(radius: float, count: int = 20_000) -> torch.Tensor:
     g = torch.Generator().manual_seed(0)
     return radius * torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
+
+
+def sight(image, points, margin):
+    """Of points (N, 3) in one image, (N,)."""
+    which = torch.zeros(1, dtype=torch.int64)
+    seen = sights(side_by_side([image]), which, points.t()[:, None], torch.tensor([margin], dtype=torch.float64))
+    return type(seen)(*(part[0] for part in seen))
 
 
 def test_points_before_the_surface_are_in_free_space():
@@ -58,3 +66,20 @@ def test_a_scanner_among_its_points_has_no_image():
     g = torch.Generator().manual_seed(0)
     assert range_image(torch.rand(500, 3, generator=g) * 0.2, torch.full((3,), 0.1), SPACING) is None
     assert range_image(torch.zeros(0, 3), torch.zeros(3), SPACING) is None
+
+
+def test_images_beside_each_other_are_each_their_own():
+    points = [sphere(2.0, 5000), sphere(3.0, 9000)]
+    viewpoints = [torch.zeros(3), torch.tensor([0.1, 0.2, 0.0])]
+    images = [range_image(cloud, place, SPACING) for cloud, place in zip(points, viewpoints, strict=True)]
+    probe = sphere(2.5, 400)
+    both = sights(
+        side_by_side(images),
+        torch.tensor([1, 0, 1]),
+        probe.t()[:, None].expand(3, 3, 400),
+        torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64),
+    )
+    for row, (number, margin) in enumerate(((1, 0.1), (0, 0.2), (1, 0.3))):
+        alone = sight(images[number], probe, margin)
+        assert torch.equal(both.before[row], alone.before)
+        assert torch.equal(both.on[row], alone.on)

@@ -3,18 +3,34 @@
 import torch
 from problems import random_transform
 
-from torchreg.verification.information import slide
+from torchreg.hypotheses.distinct import pose_vectors
+from torchreg.verification.information import slides_of
+from torchreg.verification.moments import Moments, frames
 from torchreg.verification.poses import Poses, distinct
 from torchreg.verification.probes import flips, slides
 
 G = torch.Generator().manual_seed(0)
 POINTS = torch.rand(500, 3, generator=G) * torch.tensor([6.0, 4.0, 3.0])
 NORMALS = torch.nn.functional.normalize(torch.randn(500, 3, generator=G), dim=1)
+HELD = (torch.arange(512) < 500)[None]
+
+
+def filled_up(values):
+    """Rows (3, 1, 500) to the length that sums want."""
+    return torch.nn.functional.pad(values, (0, 12))
 
 
 def one_pose():
     T = random_transform(torch.Generator().manual_seed(1)).double()
-    return Poses(T[None, :3, :3], T[None, :3, 3], torch.zeros(1, dtype=torch.int64))
+    zero = torch.zeros(1, dtype=torch.int64)
+    return Poses(T[None, :3, :3], T[None, :3, 3], zero, zero)
+
+
+def moments_of(points):
+    """Of points (N, 3) of one scan."""
+    wide = points.double()
+    apart = wide - wide.mean(dim=0)
+    return Moments(wide.mean(dim=0)[None], (apart.t() @ apart)[None], torch.tensor([float(len(wide))]).double())
 
 
 def assert_rigid(poses):
@@ -27,8 +43,9 @@ def assert_rigid(poses):
 def test_slides_move_the_points_by_their_steps():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
-    weakest = slide(placed, NORMALS @ pose.rotation[0].float().t())
-    found = slides(pose, weakest, 0.01)
+    normals = (NORMALS @ pose.rotation[0].float().t()).t()[:, None]
+    weakest = slides_of(*(filled_up(values) for values in (placed.t()[:, None], normals)), HELD)
+    found = slides(pose, weakest, torch.tensor([0.01], dtype=torch.float64))
     assert_rigid(found)
     moved = POINTS.double() @ found.rotation.transpose(1, 2) + found.translation[:, None]
     apart = (moved - placed).square().sum(dim=-1).mean(dim=-1).sqrt()
@@ -38,7 +55,7 @@ def test_slides_move_the_points_by_their_steps():
 def test_flips_are_half_turns_about_the_middle():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
-    found = flips(pose, placed)
+    found = flips(pose, moments_of(placed))
     assert_rigid(found)
     turns = found.rotation @ pose.rotation[0].t()
     assert torch.allclose(torch.diagonal(turns, dim1=1, dim2=2).sum(dim=1), -torch.ones(3, dtype=torch.float64))
@@ -51,4 +68,22 @@ def test_distinct_poses_keep_the_first_of_those_that_are_close():
     shifts = torch.tensor([0.0, 0.05, 1.0, 1.02, 0.01], dtype=torch.float64)
     many = pose.take(torch.zeros(5, dtype=torch.int64))
     many = many._replace(translation=many.translation + shifts[:, None] * torch.tensor([1.0, 0.0, 0.0]).double())
-    assert distinct(many, POINTS, 0.2).tolist() == [0, 2]
+    vectors = many.vectors(frames(moments_of(POINTS)))
+    assert distinct(vectors, many.pair, torch.tensor([0.2], dtype=torch.float64)) == [0, 2]
+
+
+def test_pairs_do_not_see_each_others_poses():
+    pose = one_pose()
+    shifts = torch.tensor([0.0, 1.0, 0.05, 0.0, 0.02, 2.0], dtype=torch.float64)
+    pair = torch.tensor([0, 0, 0, 2, 2, 2])
+    many = pose.take(torch.zeros(6, dtype=torch.int64))._replace(pair=pair)
+    many = many._replace(translation=many.translation + shifts[:, None] * torch.tensor([1.0, 0.0, 0.0]).double())
+    span = frames(moments_of(POINTS)).expand(3, 4, 3)
+    assert distinct(many.vectors(span), pair, torch.tensor([0.2, 9.0, 0.01], dtype=torch.float64)) == [0, 1, 3, 4, 5]
+
+
+def test_vectors_are_those_of_the_solvers():
+    pose = one_pose()
+    theirs = pose_vectors(pose.rotation.permute(1, 2, 0), pose.translation.t(), POINTS.double().t())
+    span = frames(moments_of(POINTS))
+    assert torch.allclose(pose.vectors(span).square(), theirs.square(), atol=1e-9)

@@ -1,6 +1,7 @@
 """Which candidate pose is right, if any: asked of the clouds themselves, answered with a probability."""
 
+from torchreg.verification.care import Care, Lengths
 from torchreg.verification.collect import Proposed
-from torchreg.verification.verify import Care, Lengths, proposals_of, verify
+from torchreg.verification.verify import proposals_of, verify
 
 __all__ = ["Care", "Lengths", "Proposed", "proposals_of", "verify"]

@@ -15,12 +15,11 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.chunks import row_chunks
-from torchreg.geometry.se3 import apply_rotation
 from torchreg.hypotheses.verdict import log10_binomial_tail
 
 _REPAIRINGS = 16
 _MOST = 400.0  # powers of ten: beyond it nothing is told apart, and numbers stay finite
-_ELEMENTS = 1 << 21  # of moved points at once, 16 MB
+_ELEMENTS = 1 << 17  # of pairings at once: what is made of them stays in the cache
 _CELL = 3.5  # thresholds: 5 spacings, the support radius of a feature by default
 
 
@@ -29,6 +28,24 @@ class Matched(NamedTuple):
 
     source: Tensor
     target: Tensor
+
+
+class Places(NamedTuple):
+    """Matched points of one proposal, made ready for poses to be weighed on them.
+
+    Attributes:
+        source: (3, M) meters, cell by cell.
+        targets: (17, 3, M) the target points that are matched to them, then those of 16 other pairings.
+        last: (C,) int64, the last match of every cell.
+        size: (C,) int64, matches in every cell.
+        threshold: meters, of an inlier.
+    """
+
+    source: Tensor
+    targets: Tensor
+    last: Tensor
+    size: Tensor
+    threshold: float
 
 
 class Agreement(NamedTuple):
@@ -43,51 +60,56 @@ class Agreement(NamedTuple):
     surprise: Tensor
 
 
-def agreement(matches: Matched, rotation: Tensor, translation: Tensor, threshold: float) -> Agreement:
+def places(matches: Matched, threshold: float) -> Places:
+    """Put the matches of one proposal in cells and pair them anew."""
+    count, device = len(matches.source), matches.source.device
+    if count == 0:
+        none = torch.zeros(0, dtype=torch.int64, device=device)
+        return Places(matches.source.t(), matches.target.t().expand(1 + _REPAIRINGS, 3, 0), none, none, threshold)
+    corner = torch.floor((matches.source - matches.source.amin(dim=0)) / (_CELL * threshold)).long()
+    _, cell, size = corner.unique(dim=0, return_inverse=True, return_counts=True)
+    order = cell.argsort(stable=True)
+    steps = [0, *(1 + (k * (count - 1)) // (_REPAIRINGS + 1) for k in range(1, _REPAIRINGS + 1))]
+    rows = (order - torch.tensor(steps, device=device)[:, None]) % count  # (17, M)
+    targets = matches.target.t()[:, rows].transpose(0, 1).contiguous()
+    return Places(matches.source.t()[:, order].contiguous(), targets, size.cumsum(0) - 1, size, threshold)
+
+
+def agreement(ground: Places, rotation: Tensor, translation: Tensor) -> Agreement:
     """Weigh poses (H, 3, 3), (H, 3) on matches."""
-    count = len(matches.source)
+    count = ground.source.shape[1]
     if count == 0 or len(rotation) == 0:
         empty = torch.zeros(len(rotation), dtype=torch.float64, device=rotation.device)
         return Agreement(empty.long(), empty)
-    cells = _cells(matches.source, _CELL * threshold)
     parts = [
-        _weigh(matches, cells, rotation[rows], translation[rows], threshold)
-        for rows in row_chunks(len(rotation), 3 * count, _ELEMENTS)
+        _weigh(ground, rotation[rows], translation[rows])
+        for rows in row_chunks(len(rotation), len(ground.targets) * count, _ELEMENTS)
     ]
     return Agreement(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 
-def _weigh(
-    matches: Matched, cells: tuple[Tensor, Tensor], rotation: Tensor, translation: Tensor, threshold: float
-) -> Agreement:
+def _weigh(ground: Places, rotation: Tensor, translation: Tensor) -> Agreement:
     """As ``agreement``, of a few poses."""
-    count, (cell, size) = len(matches.source), cells
-    moved = apply_rotation(rotation[:, None], matches.source) + translation[:, None]  # (H, M, 3)
-
-    def agreeing(target: Tensor) -> Tensor:
-        return (moved - target).square().sum(dim=-1) < threshold * threshold  # (H, M)
-
-    agrees, chance = agreeing(matches.target), torch.zeros_like(moved[..., 0], dtype=torch.int64)
-    for k in range(1, _REPAIRINGS + 1):
-        chance += agreeing(matches.target.roll(1 + (k * (count - 1)) // (_REPAIRINGS + 1), 0))
-    places = _places(agrees.long(), cell, size).tolist()
-    by_chance = (_places(chance, cell, size) / _REPAIRINGS).tolist()
+    x, y, z = ground.source.unbind(0)
+    square = torch.zeros((), dtype=rotation.dtype, device=rotation.device)
+    for i in range(3):
+        moved = rotation[:, i, 0, None] * x + rotation[:, i, 1, None] * y + rotation[:, i, 2, None] * z
+        moved += translation[:, i, None]  # (H, M)
+        apart = moved[:, None] - ground.targets[:, i]  # (H, 17, M)
+        square = square + apart.mul_(apart)
+    agrees = square < ground.threshold * ground.threshold
+    counts = torch.stack([agrees[:, 0].long(), agrees[:, 1:].sum(dim=1)])  # (2, H, M)
+    found, chance = _places(counts, ground)
+    cells = len(ground.size)
     surprises = [
-        min(_MOST, 0.0 - log10_binomial_tail(len(size), int(found), max(1.0 / _REPAIRINGS, near) / len(size)))
-        for found, near in zip(places, by_chance, strict=True)
+        min(_MOST, 0.0 - log10_binomial_tail(cells, int(here), max(1.0 / _REPAIRINGS, near) / cells))
+        for here, near in zip(found.tolist(), (chance / _REPAIRINGS).tolist(), strict=True)
     ]
-    return Agreement(agrees.sum(dim=1), torch.tensor(surprises, dtype=torch.float64, device=rotation.device))
+    return Agreement(counts[0].sum(dim=1), torch.tensor(surprises, dtype=torch.float64, device=rotation.device))
 
 
-def _cells(points: Tensor, width: float) -> tuple[Tensor, Tensor]:
-    """The cell (M,) int64 of every point (M, 3), numbered from 0, and the points (C,) in every cell."""
-    corner = torch.floor((points - points.amin(dim=0)) / width).long()
-    _, cell, size = corner.unique(dim=0, return_inverse=True, return_counts=True)
-    return cell, size
-
-
-def _places(counts: Tensor, cell: Tensor, size: Tensor) -> Tensor:
-    """Sum (H,) over cells of the mean of counts (H, M) in each."""
-    sums = torch.zeros(len(counts), len(size), dtype=torch.int64, device=counts.device).index_add_(1, cell, counts)
-    shares = sums.double() / size
-    return shares.cumsum(dim=1)[:, -1]  # added in the order of the cells
+def _places(counts: Tensor, ground: Places) -> Tensor:
+    """Sum (2, H) over cells of the mean of counts (2, H, M) in each."""
+    sums = torch.nn.functional.pad(counts.cumsum(dim=-1)[..., ground.last], (1, 0)).diff(dim=-1)
+    shares = sums.double() / ground.size
+    return shares.cumsum(dim=-1)[..., -1]  # added in the order of the cells

@@ -8,6 +8,7 @@ octahedral map (Cigolle et al., JCGT 3(2), 2014), which has no poles.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -34,12 +35,32 @@ class RangeImage(NamedTuple):
     near: float
 
 
+class RangeImages(NamedTuple):
+    """The images of G scanners, one after another.
+
+    Attributes:
+        viewpoint: (3, G).
+        ranges: of all cells, image by image.
+        seen: likewise.
+        first: (G,) int64, where each image begins.
+        side: (G,) int64, cells along each side.
+        near: (G,).
+    """
+
+    viewpoint: Tensor
+    ranges: Tensor
+    seen: Tensor
+    first: Tensor
+    side: Tensor
+    near: Tensor
+
+
 class Sight(NamedTuple):
     """How points stand to the surfaces that a scanner saw.
 
     Attributes:
-        before: (..., N) bool, well before a surface: in free space.
-        on: (..., N) bool, at the surface.
+        before: (R, N) bool, well before a surface: in free space.
+        on: (R, N) bool, at the surface.
     """
 
     before: Tensor
@@ -50,15 +71,15 @@ def range_image(points: Tensor, viewpoint: Tensor, spacing: float) -> RangeImage
     """The image of one cloud (N, 3) as seen from (3,); ``None`` where it says nothing, as for a scanner not known."""
     if len(points) == 0 or not bool(torch.isfinite(viewpoint).all()):
         return None
-    ray = points - viewpoint
-    distance = ray.square().sum(dim=1).sqrt()
+    ray = (points - viewpoint).t()
+    distance = _length(ray)
     near = float(distance.quantile(_NEAR_QUANTILE)) if len(distance) < 1 << 20 else float(distance.median()) / 4
     if near <= 2 * spacing:
         return None
     # the sphere has the area of an image of side 2 * sqrt(pi) radians
     side = int(min(_MAX_SIDE, max(8, 3.545 * near / (_CELL_SPACINGS * spacing))))
     far_enough = distance >= near
-    cell = _cells(ray[far_enough], side)
+    cell = _cells(ray[:, far_enough], torch.tensor(side, device=points.device))
     flat = torch.full((side * side,), float("inf"), dtype=points.dtype, device=points.device)
     flat = flat.scatter_reduce_(0, cell, distance[far_enough], "amin")
     image = flat.reshape(1, 1, side, side)
@@ -66,28 +87,55 @@ def range_image(points: Tensor, viewpoint: Tensor, spacing: float) -> RangeImage
     return RangeImage(viewpoint, least[0, 0], torch.isfinite(flat).reshape(side, side), near)
 
 
-def sight(image: RangeImage, points: Tensor, margin: float) -> Sight:
-    """Where points (..., 3) stand to the image; ``margin`` in meters tells before from on."""
-    ray = points - image.viewpoint
-    distance = ray.square().sum(dim=-1).sqrt()
-    cell = _cells(ray, image.ranges.shape[0])
-    surface, seen = image.ranges.reshape(-1)[cell], image.seen.reshape(-1)[cell]
-    known = seen & (distance >= image.near)
+def side_by_side(images: Sequence[RangeImage]) -> RangeImages:
+    """G images, at least one, on one device."""
+    ranges = images[0].ranges
+    sides = torch.tensor([len(image.ranges) for image in images], dtype=torch.int64)
+    return RangeImages(
+        viewpoint=torch.stack([image.viewpoint for image in images], dim=1),
+        ranges=torch.cat([image.ranges.reshape(-1) for image in images]),
+        seen=torch.cat([image.seen.reshape(-1) for image in images]),
+        first=(sides.square().cumsum(0) - sides.square()).to(ranges.device),
+        side=sides.to(ranges.device),
+        near=torch.tensor([image.near for image in images], dtype=ranges.dtype, device=ranges.device),
+    )
+
+
+def sight(images: RangeImages, which: Tensor, points: Tensor, margin: Tensor) -> Sight:
+    """Where points stand to the images of scanners.
+
+    Args:
+        images: of G scanners.
+        which: (R,) int64, the scanner that each row is held against.
+        points: (3, R, N), in the scanners' frames, meters.
+        margin: (R,) meters; it tells before from on.
+    """
+    ray = points - images.viewpoint[:, which, None]
+    distance = _length(ray)
+    cell = _cells(ray, images.side[which, None]).add_(images.first[which, None]).view(-1)
+    surface = images.ranges.index_select(0, cell).view(distance.shape)
+    known = images.seen.index_select(0, cell).view(distance.shape) & (distance >= images.near[which, None])
     # the margin grows with the range, since neighboring cells of a slanted surface differ in range
-    slack = margin + 0.02 * surface
+    slack = margin[:, None].to(surface.dtype) + 0.02 * surface
     before = known & (distance < surface - slack)
     return Sight(before, known & ~before & (distance <= surface + 2 * slack))
 
 
-def _cells(rays: Tensor, side: int) -> Tensor:
-    """Cell (...,) int64 of the directions (..., 3), by the octahedral map."""
-    size = rays.abs().sum(dim=-1, keepdim=True)
-    unit = rays / torch.where(size > 0, size, torch.ones_like(size))
-    x, y, z = unit.unbind(-1)
-    one, minus = torch.ones_like(x), -torch.ones_like(x)
-    folded_x = (1 - y.abs()) * torch.where(x >= 0, one, minus)
-    folded_y = (1 - x.abs()) * torch.where(y >= 0, one, minus)
+def _length(vectors: Tensor) -> Tensor:
+    """(...) of (3, ...)."""
+    x, y, z = vectors.square().unbind(0)
+    return x.add_(y).add_(z).sqrt_()
+
+
+def _cells(rays: Tensor, side: Tensor) -> Tensor:
+    """Cell (...,) int64 of the directions (3, ...) in images of so many cells a side, by the octahedral map."""
+    x, y, z = rays.abs().unbind(0)
+    size = x.add_(y).add_(z)
+    x, y, z = (rays / torch.where(size > 0, size, 1.0)).unbind(0)
+    folded_x = (1 - y.abs()).copysign_(x + 0.0)
+    folded_y = (1 - x.abs()).copysign_(y + 0.0)
     u, v = torch.where(z >= 0, x, folded_x), torch.where(z >= 0, y, folded_y)
-    column = ((u + 1) * (side / 2)).long().clamp(0, side - 1)
-    row = ((v + 1) * (side / 2)).long().clamp(0, side - 1)
-    return row * side + column
+    half, last = (side / 2).to(rays.dtype), side - 1
+    column = torch.minimum(u.add_(1).mul_(half).long().clamp_(min=0), last)
+    row = torch.minimum(v.add_(1).mul_(half).long().clamp_(min=0), last)
+    return row.mul_(side).add_(column)

@@ -13,84 +13,113 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import stable_sum
+from torchreg.verification.sums import row_sums
+
+_LEAST = 6  # points that can hold a pose
 
 
 class Slide(NamedTuple):
-    """The motion that the surfaces resist least.
+    """The motions that the surfaces of G pairs resist least.
 
     Attributes:
-        strength: in [0, 1]: square root of its share of the strongest motion's resistance.
-        turn: (3,) float64, radians about ``center``; as a rotation vector.
-        shift: (3,) float64, meters. Turn and shift together move the points by one meter (root mean square).
-        center: (3,) float64, meters.
+        strength: (G,) float64 in [0, 1]: square root of its share of the strongest motion's resistance.
+        turn: (G, 3) float64, radians about ``center``; as rotation vectors.
+        shift: (G, 3) float64, meters. Turn and shift together move the points by one meter (root mean square).
+        center: (G, 3) float64, meters.
     """
 
-    strength: float
+    strength: Tensor
     turn: Tensor
     shift: Tensor
     center: Tensor
 
 
-def information_matrix(points: Tensor) -> Tensor:
-    """Open3D's information matrix (6, 6) of the target points (K, 3) that have a partner, rotations first.
+def information_matrices(points: Tensor, held: Tensor) -> Tensor:
+    """Open3D's information matrices (G, 6, 6) of the target points that have a partner, rotations first.
 
     As ``open3d.pipelines.registration.get_information_matrix_from_point_clouds``.
+
+    Args:
+        points: (3, G, L) float64, meters, in the frame of the file.
+        held: (G, L) bool, which of them are points.
     """
-    wide = points.double()
-    first = stable_sum(wide)  # (3,)
-    second = stable_sum((wide[:, :, None] * wide[:, None, :]).reshape(-1, 9)).reshape(3, 3)
-    eye = torch.eye(3, dtype=torch.float64, device=points.device)
-    turning = torch.trace(second) * eye - second  # sum of -[p]x [p]x
-    crossed = _cross_matrix(first)
-    return torch.cat([torch.cat([turning, crossed], 1), torch.cat([-crossed, len(points) * eye], 1)])
+    wide = torch.where(held, points, 0.0)
+    x, y, z = row_sums(wide).unbind(0)
+    xx, yy, zz, xy, xz, yz = row_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
+    all_squares, zero, count = xx + yy + zz, torch.zeros_like(x), held.sum(dim=1).double()
+    rows = [  # the sum of -[p]x [p]x, [p]x and the identity
+        [all_squares - xx, zero - xy, zero - xz, zero, -z, y],
+        [zero - xy, all_squares - yy, zero - yz, z, zero, -x],
+        [zero - xz, zero - yz, all_squares - zz, -y, x, zero],
+        [-zero, z, -y, count, zero, zero],
+        [-z, -zero, x, zero, count, zero],
+        [y, -x, -zero, zero, zero, count],
+    ]
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def strengths(points: Tensor, normals: Tensor, held: Tensor) -> Tensor:
-    """The strength (H,) of H poses: points (H, N, 3) on surfaces with normals (H, N, 3), those that are ``held``."""
-    return _strength(_hold(points, normals, held)[0], held)[0]
+    """The strength (R,) of R poses: points (3, R, L) on surfaces with normals (3, R, L), where ``held`` (R, L)."""
+    return _strength(_hold(points, normals, held).matrix, held)[0]
 
 
-def slide(points: Tensor, normals: Tensor) -> Slide:
-    """The weakest motion of points (K, 3) on surfaces with normals (K, 3); strength 0 for fewer than 6 points."""
+def slides_of(points: Tensor, normals: Tensor, held: Tensor) -> Slide:
+    """The weakest motions of points (3, G, L) on surfaces with normals (3, G, L), where ``held`` (G, L).
+
+    Strength 0 for fewer than 6 points.
+    """
     p = points.double()
-    held = torch.ones_like(p[None, :, 0], dtype=torch.bool)
-    matrix, center, size = _hold(p[None], normals[None], held)
-    strength, weakest = _strength(matrix, held)
-    turn, shift = weakest[0, :3] / size[0], weakest[0, 3:]
-    moved = torch.linalg.cross(turn.expand_as(p), p - center[0]) + shift
-    far = (stable_sum(moved.square().sum(dim=1)) / max(1, len(p))).sqrt().clamp(min=1e-12)
-    return Slide(float(strength), turn / far, shift / far, center[0])
+    hold = _hold(p, normals, held)
+    strength, weakest = _strength(hold.matrix, held)
+    turn, shift = weakest[:, :3] / hold.size[:, None], weakest[:, 3:]
+    apart = p - hold.center[..., None]
+    moved = torch.linalg.cross(turn.t()[..., None].expand_as(p), apart, dim=0) + shift.t()[..., None]
+    x, y, z = torch.where(held, moved, 0.0).square_().unbind(0)
+    square = row_sums(x.add_(y).add_(z)) / held.sum(dim=1).clamp(min=1)
+    far = square.sqrt().clamp(min=1e-12)[:, None]
+    return Slide(strength, turn / far, shift / far, hold.center.t())
 
 
-def _hold(points: Tensor, normals: Tensor, held: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Point-to-plane information (H, 6, 6), centers (H, 3) and sizes (H,), all over the points that are held."""
-    weight = held.double()[..., None].transpose(0, 1)  # (N, H, 1)
-    p, n = points.double().transpose(0, 1), normals.double().transpose(0, 1)  # (N, H, 3)
-    total = stable_sum(weight).clamp(min=1)  # (H, 1)
-    center = stable_sum(p * weight) / total
-    apart = (p - center) * weight
-    size = (stable_sum(apart.square().sum(dim=-1, keepdim=True)) / total).sqrt().clamp(min=1e-12)  # (H, 1)
+class _Hold(NamedTuple):
+    """Point-to-plane information (R, 6, 6), centers (3, R) and sizes (R,), all over the points that are held."""
+
+    matrix: Tensor
+    center: Tensor
+    size: Tensor
+
+
+def _hold(points: Tensor, normals: Tensor, held: Tensor) -> _Hold:
+    weight = held.double()  # (R, L)
+    p, n = points.double(), normals.double()  # (3, R, L)
+    total = held.sum(dim=1).double().clamp(min=1)  # (R,)
+    center = row_sums(p * weight) / total
+    apart = (p - center[..., None]).mul_(weight)
+    x, y, z = apart.square().unbind(0)
+    size = (row_sums(x.add_(y).add_(z)) / total).sqrt().clamp(min=1e-12)
     # turns are scaled by the size, so that one unit moves the rim by one meter as a unit of shift does
-    rows = torch.cat([torch.linalg.cross(apart / size, n), n * weight], dim=-1)  # (N, H, 6)
-    products = (rows[..., :, None] * rows[..., None, :]).flatten(-2)
-    return stable_sum(products).unflatten(-1, (6, 6)), center, size[:, 0]
+    rows = torch.cat([torch.linalg.cross(apart / size[:, None], n, dim=0), n * weight])  # (6, R, L)
+    products = torch.empty(21, *weight.shape, dtype=rows.dtype, device=rows.device)
+    begin = 0
+    for i in range(6):  # the upper triangle, row by row
+        torch.mul(rows[i:], rows[i], out=products[begin : begin + 6 - i])
+        begin += 6 - i
+    upper = row_sums(products).t()  # (R, 21)
+    matrix = upper.new_empty(len(weight), 6, 6)
+    i, j = torch.triu_indices(6, 6, device=upper.device)
+    matrix[:, i, j], matrix[:, j, i] = upper, upper
+    return _Hold(matrix, center, size)
 
 
 def _strength(matrix: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-    """Strengths (H,) and weakest motions (H, 6) of information matrices (H, 6, 6)."""
+    """Strengths (R,) and weakest motions (R, 6) of information matrices (R, 6, 6)."""
     values, vectors = torch.linalg.eigh(matrix)
     weakest = vectors[..., 0]
     largest = weakest.gather(1, weakest.abs().argmax(dim=1, keepdim=True))
     weakest = weakest * torch.where(largest < 0, -1.0, 1.0)  # one sign, whatever the routine
-    enough = (held.sum(dim=1) >= 6) & (values[:, 5] > 0)
+    enough = (held.sum(dim=1) >= _LEAST) & (values[:, 5] > 0)
     top = torch.where(enough, values[:, 5], torch.ones_like(values[:, 5]))
     strength = torch.where(enough, (values[:, 0].clamp(min=0) / top).sqrt(), torch.zeros_like(top))
     return strength, torch.where(enough[:, None], weakest, torch.zeros_like(weakest))
-
-
-def _cross_matrix(vector: Tensor) -> Tensor:
-    """[v]x (3, 3), so that [v]x u = v x u."""
-    x, y, z = vector.unbind()
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
-from torchreg.verification.choose import Chosen
 from torchreg.verification.model import MODEL, probability_alone, terms
+from torchreg.verification.weigh import Weighed
 
 ACCEPTED = 0.6
 """The least probability of a success, where points lie as dense as in the cases that the weights were fitted to."""
@@ -26,50 +28,51 @@ def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
     return probability >= least and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
 
 
-def refusal(chosen: Chosen, apart: str, least: float) -> str:
+def refusal(found: Weighed, probabilities: list[float], strength: float, apart: Callable[[], str], least: float) -> str:
     """Why the best candidate is refused, or an empty text.
 
     Args:
-        chosen: the candidates of one pair.
-        apart: how far the runner-up is, in words.
+        found: the H candidates of one pair, best first.
+        probabilities: H of them.
+        strength: of the best.
+        apart: tells how far the runner-up is, in words; asked only where there is one.
         least: probability of a success.
     """
-    best, probability = chosen.candidates, float(chosen.probability[0])
-    if accepted(probability, best.odds, least):
+    probability, odds = probabilities[0], found.odds
+    if accepted(probability, odds, least):
         return ""
     held = f"probability {probability:.2f} of being right, {least:g} is needed"
     if probability >= least:
-        held = f"log-odds {float(best.odds[0] - best.odds[1]):.2f} above it, {MARGIN:g} are needed"
-    if chosen.slide.strength < FIRM and float(best.evidence.overlap[0]) >= _LAID_ON:
-        others = f"; {apart}, they agree nearly as well" if apart else ""
-        return f"sliding: the surfaces leave a motion open (strength {chosen.slide.strength:.3f}){others} ({held})"
-    if len(chosen.probability) > 1:
-        alone, rival = float(probability_alone(best.odds[0])), float(chosen.probability[1])
-        if alone >= least and rival >= _RIVAL:
-            return f"ambiguous: a second pose {apart} agrees nearly as well ({held})"
-    return f"{_weakest(chosen)} ({held})"
+        held = f"log-odds {float(odds[0] - odds[1]):.2f} above it, {MARGIN:g} are needed"
+    rivals = len(probabilities) > 1
+    if strength < FIRM and float(found.evidence.overlap[0]) >= _LAID_ON:
+        others = f"; {apart()}, they agree nearly as well" if rivals else ""
+        return f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({held})"
+    if rivals and probabilities[1] >= _RIVAL and float(probability_alone(odds[0])) >= least:
+        return f"ambiguous: a second pose {apart()} agrees nearly as well ({held})"
+    return f"{_weakest(found.take(slice(1)))} ({held})"
 
 
-def _weakest(chosen: Chosen) -> str:
-    """What the best candidate lacks most, against what right poses have."""
-    one = chosen.candidates.take(torch.zeros(1, dtype=torch.int64, device=chosen.probability.device))
-    seen, surprise = one.evidence, one.surprise
-    numbers: Tensor = terms(seen, surprise)[0]
+def _weakest(one: Weighed) -> str:
+    """What the best candidate (H = 1) lacks most, against what right poses have."""
+    seen = one.evidence
+    numbers: Tensor = terms(seen, one.surprise)[0]
     lack = {
-        name: weight * (typical - float(value))
-        for (name, (weight, typical)), value in zip(MODEL.items(), numbers, strict=True)
+        name: weight * (typical - value)
+        for (name, (weight, typical)), value in zip(MODEL.items(), numbers.tolist(), strict=True)
     }
     if bool(torch.isnan(seen.colors[0])):
         lack["colors"] = 0.0
     if bool(torch.isnan(seen.conflict[0])):
         lack["conflict"] = 0.0
+    overlap, closeness, normals, colors, strength, conflict = (float(value[0]) for value in seen)
     words = {
-        "overlap": f"too little overlap: {float(seen.overlap[0]):.0%} of the points find a partner",
-        "closeness": f"surfaces disagree: partners are {(1 - float(seen.closeness[0])) ** 0.5:.2f} thresholds apart",
-        "normals": f"surfaces disagree: normals of partners have a mean cosine of {float(seen.normals[0]):.2f}",
-        "colors": f"colors disagree: those of partners correlate by {float(seen.colors[0]):.2f}",
-        "strength": f"sliding: the surfaces of partners leave a motion open (strength {float(seen.strength[0]):.3f})",
-        "conflict": f"free-space conflict: {float(seen.conflict[0]):.1%} of the points stand where a scanner saw none",
+        "overlap": f"too little overlap: {overlap:.0%} of the points find a partner",
+        "closeness": f"surfaces disagree: partners are {(1 - closeness) ** 0.5:.2f} thresholds apart",
+        "normals": f"surfaces disagree: normals of partners have a mean cosine of {normals:.2f}",
+        "colors": f"colors disagree: those of partners correlate by {colors:.2f}",
+        "strength": f"sliding: the surfaces of partners leave a motion open (strength {strength:.3f})",
+        "conflict": f"free-space conflict: {conflict:.1%} of the points stand where a scanner saw none",
         "surprise": f"no consensus: {int(one.support[0])} matches agree, in few places",
     }
     return words[max(words, key=lambda name: lack[name])]

@@ -8,27 +8,27 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.verification.agreement import Matched, agreement
+from torchreg.verification.agreement import Places, agreement
 from torchreg.verification.evidence import Evidence, evidence
 from torchreg.verification.model import log_odds
-from torchreg.verification.poses import Poses, joined
-from torchreg.verification.view import View
+from torchreg.verification.poses import Poses, joined, runs_of
+from torchreg.verification.side import Side
 
 
 class Scales(NamedTuple):
-    """What poses of one pair are weighed on.
+    """What poses of G pairs are weighed on.
 
     Attributes:
-        source: the source scan.
-        target: the target scan.
-        matches: the matched points of every proposal.
-        threshold: meters, of an inlier.
+        source: the source scans.
+        target: the target scans.
+        matches: of every pair, the matched points of every proposal.
+        threshold: (G,) float64, meters, of an inlier.
     """
 
-    source: View
-    target: View
-    matches: Sequence[Matched]
-    threshold: float
+    source: Side
+    target: Side
+    matches: Sequence[Sequence[Places]]
+    threshold: Tensor
 
 
 class Weighed(NamedTuple):
@@ -50,24 +50,35 @@ class Weighed(NamedTuple):
     surprise: Tensor
     odds: Tensor
 
-    def take(self, rows: Tensor) -> Weighed:
+    def take(self, rows: Tensor | slice) -> Weighed:
         """The poses ``rows`` (K,), in that order."""
         return Weighed(self.poses.take(rows), self.evidence.take(rows), *(part[rows] for part in self[2:]))
 
     def best_first(self) -> Weighed:
-        """In order of their odds; equal ones in the order they have."""
-        return self.take(self.odds.sort(descending=True, stable=True).indices)
+        """Pair by pair in order of their odds; equal ones in the order they have."""
+        order = self.odds.sort(descending=True, stable=True).indices
+        return self.take(order[self.poses.pair[order].sort(stable=True).indices])
 
 
 def weigh(scales: Scales, poses: Poses) -> Weighed:
-    """Put poses on the scale."""
-    seen = evidence(scales.source, scales.target, poses.rotation, poses.translation, scales.threshold)
-    spoken = [agreement(matched, poses.rotation, poses.translation, scales.threshold) for matched in scales.matches]
-    surprises = torch.stack([each.surprise for each in spoken])  # (proposals, H)
-    loudest = surprises.max(dim=0).indices
-    surprise = surprises.gather(0, loudest[None])[0]
-    support = torch.stack([each.support for each in spoken]).gather(0, loudest[None])[0]
-    return Weighed(poses, seen, support, loudest, surprise, log_odds(seen, surprise))
+    """Put poses, those of each pair together, on the scale."""
+    seen = evidence(scales.source, scales.target, poses.pair, poses.rotation, poses.translation, scales.threshold)
+    runs = runs_of(poses.pair)
+    supports, surprises = [], []
+    for number in range(len(scales.matches[0])):
+        told = [
+            agreement(scales.matches[pair][number], poses.rotation[begin:end], poses.translation[begin:end])
+            for pair, begin, end in runs
+        ]
+        supports.append(torch.cat([each.support for each in told]))
+        surprises.append(torch.cat([each.surprise for each in told]))
+    loudness = torch.stack(surprises)  # (proposals, H)
+    loudest = loudness.max(dim=0).indices
+    surprise = loudness.gather(0, loudest[None])[0]
+    support = torch.stack(supports).gather(0, loudest[None])[0]
+    # pair by pair, since logarithms round differently at the end of a range
+    odds = [log_odds(seen.take(slice(begin, end)), surprise[begin:end]) for _, begin, end in runs]
+    return Weighed(poses, seen, support, loudest, surprise, torch.cat(odds))
 
 
 def weighed_together(parts: Sequence[Weighed]) -> Weighed:
