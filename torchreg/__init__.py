@@ -46,7 +46,7 @@ from torchreg.types import (
 from torchreg.version import __version__
 
 if TYPE_CHECKING:
-    from torchreg import datasets, reference
+    from torchreg import batch, datasets, reference
 
 __all__ = [
     "PAPER",
@@ -61,6 +61,7 @@ __all__ = [
     "RegistrationOptions",
     "RegistrationResult",
     "__version__",
+    "batch",
     "compatibility",
     "contrast",
     "datasets",
@@ -88,7 +89,7 @@ __all__ = [
     "write_cloud",
 ]
 
-_ON_FIRST_USE = ("datasets", "reference")
+_ON_FIRST_USE = ("batch", "datasets", "reference")
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -91,7 +91,10 @@ def kill_a_worker(process, words, kills):
     return done
 
 
-@pytest.mark.parametrize(("engine", "words"), [("ray", "ray::load_and_compute"), ("local", "forkserver")])
+@pytest.mark.parametrize(
+    ("engine", "words"),
+    [pytest.param("ray", "ray::load_and_compute", marks=pytest.mark.slow), ("local", "forkserver")],
+)
 def test_a_worker_that_is_killed_leaves_the_table_as_it_is(engine, words, project, tmp_path):
     whole = finish(start(project.table, "--out", tmp_path / "whole"))
     assert whole.code == 0
@@ -117,6 +120,7 @@ def _die_at_three(item, loaded, device):
     return 10 * item
 
 
+@pytest.mark.slow
 def test_an_item_that_ends_every_process_fails_alone():
     outcomes = dict(LocalEngine(2).run(Job(_same, _die_at_three), list(range(6))))
     assert {place: outcome.value for place, outcome in outcomes.items() if place != 3} == {
