@@ -12,6 +12,7 @@ from torchreg.batch.pairs import Pair
 from torchreg.io import read_cloud
 from torchreg.io.viewpoint_text import viewpoint_of_text
 from torchreg.preprocess import random_downsample
+from torchreg.registration.inspect import facts_of, too_wide
 from torchreg.registration.scale import MAX_POINTS, CloudScale
 from torchreg.types import Clouds
 
@@ -67,7 +68,9 @@ def read_source(source: CloudSource) -> Clouds:
     cloud = read_cloud(source.path, viewpoint=viewpoint_of_text(source.viewpoint))
     if source.points is None:
         return cloud
-    return random_downsample(cloud, source.points, generator=torch.Generator().manual_seed(source.seed))
+    # a cloud is chosen from once for all its pairs, and from a copy that was moved other points are chosen
+    own = int(digest_of(cloud)[:12], 16) ^ source.seed
+    return random_downsample(cloud, source.points, generator=torch.Generator().manual_seed(own))
 
 
 def look_at(cloud: Clouds, voxel: float | None, *, scaled: bool) -> Look:
@@ -78,11 +81,14 @@ def look_at(cloud: Clouds, voxel: float | None, *, scaled: bool) -> Look:
         voxel: meters, the voxel edge that was given; ``None`` where its size is to decide.
         scaled: whether the spacing is asked for.
     """
-    scale = CloudScale(cloud)
+    scale, facts = CloudScale(cloud), facts_of(cloud)[0]
     edge = voxel or 0.0
-    if scaled and voxel is None and scale.usable and scale.points > MAX_POINTS:
+    if voxel is not None:
+        scaled = scaled and not too_wide(facts, voxel)
+    scaled = scaled and not facts.defect  # its pairs will be refused, with their reason
+    if scaled and voxel is None and scale.points > MAX_POINTS:
         edge = scale.thinning_voxel
-    spacing = scale.spacing(edge or None) if scaled and scale.usable else 0.0
+    spacing = scale.spacing(edge or None) if scaled else 0.0
     return Look(digest_of(cloud), scale.points, cloud.colors is not None, edge, spacing)
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from dataclasses import asdict
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,16 @@ from torchreg.version import __version__
 _FORMAT = 1
 
 
-def described_name(digest: str, options: RegistrationOptions) -> str:
-    """The file's name for a cloud of this digest and these ``description_options``."""
-    said = json.dumps({"format": _FORMAT, "torchreg": __version__, "cloud": digest, "options": asdict(options)})
+def described_name(digest: str, options: RegistrationOptions, device: str) -> str:
+    """The file's name for a cloud of this digest and these ``description_options``, described on a device."""
+    made = {"format": _FORMAT, "device": device, **computing_versions()}
+    said = json.dumps({**made, "cloud": digest, "options": asdict(options)})
     return f"{hashlib.blake2b(said.encode(), digest_size=16).hexdigest()}.pt"
+
+
+def computing_versions() -> dict[str, str]:
+    """Versions of what computes: another one may round otherwise."""
+    return {"torchreg": __version__, **{name: metadata.version(name) for name in ("torch", "open3d")}}
 
 
 def write_described(path: Path, described: DescribedClouds) -> None:

@@ -13,6 +13,10 @@ class Engine(Protocol):
     """Runs a job over items, in any order, a bounded number of them at a time."""
 
     @property
+    def device(self) -> str:
+        """Where it computes."""
+
+    @property
     def workers(self) -> int:
         """How many items are worked on at once."""
 
@@ -21,3 +25,6 @@ class Engine(Protocol):
 
         A process that dies fails at most the item that it was at, and that only after it was tried again.
         """
+
+    def close(self) -> None:
+        """Give back what the engine holds."""

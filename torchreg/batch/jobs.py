@@ -1,13 +1,12 @@
-"""The three kinds of work of a batch: look at a cloud, describe it, register a slice of pairs.
+"""The kinds of work of a batch: look at a cloud, derive a pair's options, describe a cloud, register a slice.
 
 Each is loading, which reads files and needs a processor alone, and computing, which may run on another device.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ from torchreg.batch.outcome import Outcome, attempt
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row, Told, row_of
 from torchreg.errors import expect
-from torchreg.registration import DescribedClouds, describe_clouds, register_described
+from torchreg.registration import DescribedClouds, derive_options, describe_clouds, register_described
 from torchreg.types import Clouds, RegistrationOptions
 
 
@@ -41,6 +40,13 @@ class LookItem(NamedTuple):
     scaled: bool
 
 
+class DeriveItem(NamedTuple):
+    """A pair whose options are to be derived from its own two clouds."""
+
+    source: CloudSource
+    target: CloudSource
+
+
 class DescribeItem(NamedTuple):
     """A cloud to be described.
 
@@ -49,23 +55,22 @@ class DescribeItem(NamedTuple):
         digest: what it is expected to hold.
         options: what describing depends on.
         file: where its description is kept.
-        max_bytes: to work with.
     """
 
     source: CloudSource
     digest: str
     options: RegistrationOptions
     file: str
-    max_bytes: int
 
 
 class PairItem(NamedTuple):
-    """One pair of a slice: its options and both of its clouds."""
+    """One pair of a slice: its options, both of its clouds, and which of them have colors."""
 
     pair: Pair
     options: RegistrationOptions
     source: DescribeItem
     target: DescribeItem
+    colored: tuple[bool, bool]
     told: Told
 
 
@@ -81,6 +86,14 @@ def _load_look(item: LookItem) -> Clouds:
     return read_source(item.source)
 
 
+def _load_pair(item: DeriveItem) -> tuple[Clouds, Clouds]:
+    return read_source(item.source), read_source(item.target)
+
+
+def _derive(item: DeriveItem, clouds: tuple[Clouds, Clouds], device: str) -> RegistrationOptions:
+    return derive_options(*clouds)[0]
+
+
 def _load_cloud(item: DescribeItem) -> Clouds:
     cloud = read_source(item.source)
     same = digest_of(cloud) == item.digest
@@ -89,47 +102,29 @@ def _load_cloud(item: DescribeItem) -> Clouds:
 
 
 def _describe(item: DescribeItem, cloud: Clouds, device: str) -> int:
-    described = describe_clouds(cloud.to(device), item.options, max_bytes=item.max_bytes)
-    write_described(Path(item.file), described.to("cpu"))
-    return len(described.cloud.points)
+    return len(_described(item, cloud, device).cloud.points)
 
 
-def _load_slice(item: Slice) -> dict[str, DescribedClouds]:
-    """The described clouds of a slice by their files; those that are missing or damaged are made again."""
+def _load_slice(item: Slice) -> dict[str, DescribedClouds | Clouds]:
+    """The described clouds of a slice by their files; where a file is missing or damaged, the cloud itself."""
     clouds = {side.file: side for pair in item for side in (pair.source, pair.target)}
-    return {file: _load_described(side) for file, side in clouds.items()}
+    return {file: read_described(Path(file)) or _load_cloud(side) for file, side in clouds.items()}
 
 
-def _load_described(item: DescribeItem) -> DescribedClouds:
-    described = read_described(Path(item.file))
-    if described is None:
-        _describe(item, _load_cloud(item), "cpu")
-        described = read_described(Path(item.file))
-    if described is None:
-        raise OSError(f"{item.file}: expected the description that was just written there, got another")
+def _described(item: DescribeItem, loaded: DescribedClouds | Clouds, device: str) -> DescribedClouds:
+    """A description that was kept, or is made again and kept now."""
+    if isinstance(loaded, DescribedClouds):
+        return loaded.to(device)
+    described = describe_clouds(loaded.to(device), item.options)
+    write_described(Path(item.file), described.to("cpu"))
     return described
 
 
-def _register(item: Slice, loaded: dict[str, DescribedClouds], device: str) -> list[Row]:
-    """The rows of a slice. Where it fails as a whole, pair by pair, so that one pair cannot fail the others."""
-    found = attempt(_register_together, item, loaded, device)
-    if not found.reason:
-        rows: list[Row] = found.value
-        return rows
-    if found.no_room or len(item) == 1:
-        raise OSError(found.reason) if found.expected else RuntimeError(found.reason)
-    rows = []
-    for pair in item:
-        alone = attempt(_register_together, (pair,), loaded, device)
-        rows += alone.value if not alone.reason else [Row.failed(pair.pair, alone.reason, expected=alone.expected)]
-    return rows
-
-
-def _register_together(item: Slice, loaded: dict[str, DescribedClouds], device: str) -> list[Row]:
-    sides = [
-        DescribedClouds.pack([loaded[getattr(pair, side).file] for pair in item]).to(device)
-        for side in ("source", "target")
-    ]
+def _register(item: Slice, loaded: dict[str, DescribedClouds | Clouds], device: str) -> list[Row]:
+    """The rows of a slice."""
+    wanted = {side.file: side for pair in item for side in (pair.source, pair.target)}
+    ready = {file: _described(side, loaded[file], device) for file, side in wanted.items()}
+    sides = [DescribedClouds.pack([ready[getattr(pair, side).file] for pair in item]) for side in ("source", "target")]
     settings = item[0].pair.settings
     result = register_described(sides[0], sides[1], [pair.options for pair in item], seed=settings.seed)
     return [
@@ -138,13 +133,9 @@ def _register_together(item: Slice, loaded: dict[str, DescribedClouds], device: 
 
 
 LOOK = Job(_load_look, _look)
+DERIVE = Job(_load_pair, _derive)
 DESCRIBE = Job(_load_cloud, _describe)
 REGISTER = Job(_load_slice, _register)
-
-
-def said_of(options: RegistrationOptions) -> str:
-    """All options as one text."""
-    return json.dumps(asdict(options), sort_keys=True)
 
 
 def load_and_compute(job: Job, device: str, item: Any) -> Outcome:  # noqa: ANN401

@@ -24,7 +24,8 @@ from torchreg.batch.jobs import Job, load_and_compute
 from torchreg.batch.outcome import Outcome, attempt
 from torchreg.errors import at_least
 
-_DEATHS = 3  # that one item may cause, working alone
+_DEATHS = 3  # that one item may cause, alone
+_AHEAD = 2  # items that are at work or handed over, for every worker
 _DIED = "the process that worked on it ended unexpectedly each time, out of memory or killed"
 
 
@@ -42,70 +43,81 @@ class LocalEngine:
         self._in_workers = torch.device(device).type == "cpu"
 
     @property
+    def device(self) -> str:
+        """Where it computes."""
+        return self._device
+
+    @property
     def workers(self) -> int:
         """How many items are worked on at once."""
         return max(1, self._processes)
 
+    def close(self) -> None:
+        """There is nothing to give back: workers end with each job."""
+
     def run(self, job: Job, items: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
         """As ``Engine``'s."""
-        pending, deaths = list(range(len(items))), 0  # deaths since an item was done last
+        pending, deaths = dict(enumerate(items)), 0  # deaths of the first of them, alone
+        suspects: list[int] = []  # what was perhaps at work when a process died: each goes alone, then all together
         while pending:
-            # after a death one at a time, so that the item at fault is known: it is the first
-            processes = min(self._processes, len(pending)) if deaths == 0 else 1
+            places = suspects or list(pending)
             try:
-                for place, outcome in self._some(job, items, pending, processes):
-                    pending.remove(place)
+                for place, outcome in self._some(job, [(k, items[k]) for k in places], alone=bool(suspects)):
+                    del pending[place]
                     deaths = 0
                     yield place, outcome
+                suspects = []
             except (RuntimeError, EOFError, ConnectionError) as error:
                 # the latter two: the server of processes itself is gone; it is started again
                 if isinstance(error, RuntimeError) and "DataLoader worker" not in str(error):
                     raise
-                deaths += 1
-                if deaths > _DEATHS:
-                    deaths = 1
-                    yield pending.pop(0), Outcome(None, f"{_DIED} ({error})", expected=False)
+                deaths += bool(suspects)
+                suspects = [k for k in suspects if k in pending] or list(pending)[: _AHEAD * self.workers]
+                if deaths == _DEATHS:
+                    place, deaths = suspects.pop(0), 0
+                    del pending[place]
+                    yield place, Outcome(None, f"{_DIED} ({error})", expected=False)
 
-    def _some(self, job: Job, items: Sequence[Any], places: list[int], processes: int) -> Iterator[tuple[int, Outcome]]:
+    def _some(self, job: Job, items: list[tuple[int, Any]], *, alone: bool) -> Iterator[tuple[int, Outcome]]:
         do = partial(load_and_compute, job, self._device) if self._in_workers else partial(attempt, job.load)
-        for place, outcome in _loaded(_Work(items, tuple(places), do), processes):
+        processes = min(self._processes, 1 if alone else len(items))
+        given = dict(items)
+        for place, outcome in _loaded(do, items, processes):
             if self._in_workers or outcome.reason:
                 yield place, outcome
             else:
-                made = attempt(job.compute, items[place], outcome.value, self._device)
+                made = attempt(job.compute, given[place], outcome.value, self._device)
                 yield place, made._replace(seconds=outcome.seconds + made.seconds)
 
 
 class _Work(Dataset[tuple[int, Outcome]]):
-    """What comes of some items, by their order."""
+    """What comes of an item that is handed over in place of its number: workers hold what they are at, not all."""
 
-    def __init__(self, items: Sequence[Any], places: tuple[int, ...], do: Any) -> None:  # noqa: ANN401
-        self._items, self._places, self._do = items, places, do
+    def __init__(self, do: Any) -> None:  # noqa: ANN401
+        self._do = do
 
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def __getitem__(self, number: int) -> tuple[int, Outcome]:
-        place = self._places[number]
-        return place, self._do(self._items[place])
+    def __getitem__(self, item: Any) -> tuple[int, Outcome]:  # noqa: ANN401
+        place, content = item
+        return place, self._do(content)
 
 
-def _loaded(work: _Work, processes: int) -> Iterator[tuple[int, Outcome]]:
-    """Every item of the work once, by that many processes, as they are ready."""
+def _loaded(do: Any, items: list[tuple[int, Any]], processes: int) -> Iterator[tuple[int, Outcome]]:  # noqa: ANN401
+    """Every item once, by that many processes, as they are ready."""
+    work = _Work(do)
     if processes == 0:
-        yield from (work[number] for number in range(len(work)))
+        yield from map(work.__getitem__, items)
         return
-    threads = max(1, cores() // processes)
     with warnings.catch_warnings():  # more processes than cores are right where reading is slow
         warnings.filterwarnings("ignore", message="This DataLoader will create")
         loader = DataLoader(
             work,
             batch_size=None,  # an item is a unit of work already
+            sampler=items,
             collate_fn=_as_it_is,
             num_workers=processes,
             prefetch_factor=1,
             in_order=False,
-            worker_init_fn=partial(_begin_worker, threads),
+            worker_init_fn=partial(_begin_worker, max(1, cores() // processes)),
             multiprocessing_context=_context(),
         )
         ready = iter(loader)

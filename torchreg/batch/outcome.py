@@ -28,6 +28,16 @@ class Outcome(NamedTuple):
     seconds: float = 0.0
 
 
+def stop_without_room(outcome: Outcome) -> None:
+    """End the run where nothing can be written any more.
+
+    Raises:
+        OSError: there is no room.
+    """
+    if outcome.no_room:
+        raise OSError(f"{outcome.reason} (what is finished stands; the same command goes on from there)")
+
+
 def attempt(work: Callable[..., Any], *arguments: Any) -> Outcome:  # noqa: ANN401
     """Do a piece of work; an error becomes a reason, so that it ends no other piece."""
     begin = time.perf_counter()

@@ -48,7 +48,7 @@ class Pair:
     @property
     def file_name(self) -> str:
         """A name for the pair's own file, different for every pair of the batch."""
-        plain = re.sub(r"[^\w.+-]", "_", self.name)[:_LONGEST].lstrip(".")
+        plain = re.sub(r"[^A-Za-z0-9_.+-]", "_", self.name)[:_LONGEST].lstrip(".")
         if plain == self.name:
             return plain
         return f"{plain}-{hashlib.blake2b(self.name.encode(), digest_size=4).hexdigest()}"
@@ -86,9 +86,7 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
         ValueError: fewer than two files.
     """
     files = sorted(file for file in glob.glob(pattern, recursive=True) if os.path.isfile(file))
-    expect(
-        len(files) >= 2, "--all-pairs", "a pattern that names at least two files", f"{pattern!r}, which names {files}"
-    )
+    expect(len(files) >= 2, "all pairs", "a pattern that names at least two files", f"{pattern!r}, which names {files}")
     names = _short_names(files)
     return tuple(
         Pair(
@@ -106,7 +104,7 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
 def _short_names(files: Sequence[str]) -> dict[str, str]:
     """Stems where they tell the files apart, else the paths below the folder that all share."""
     stems = {file: Path(file).stem for file in files}
-    if len(set(stems.values())) == len(files):
+    if len(set(stems.values())) == len(files) and not any("__" in stem for stem in stems.values()):
         return stems
     folder = os.path.commonpath([os.path.dirname(os.path.abspath(file)) for file in files])
     return {file: os.path.relpath(os.path.abspath(file), folder) for file in files}

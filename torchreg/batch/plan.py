@@ -1,27 +1,21 @@
-"""What is to be done: the options of every pair, the descriptions they need, and which pairs go together."""
+"""What is to be done: the descriptions that pairs need, and which pairs go together."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from torchreg.batch.clouds import CloudSource, Look, sources_of
+from torchreg.batch.clouds import Look, sources_of
 from torchreg.batch.described_file import described_name
 from torchreg.batch.jobs import DescribeItem, PairItem, Slice
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Told
-from torchreg.batch.scales import Scale, options_of
 from torchreg.registration.describe import without_lengths
 from torchreg.registration.describing import description_options
-from torchreg.registration.pair_options import changed
-from torchreg.registration.presets import PAPER
 from torchreg.registration.recipes import blocks_of, recipes_of
 from torchreg.types import RegistrationOptions
-
-CloudKey = tuple[CloudSource, float | None]
-"""A cloud, and the voxel edge that was given for it."""
 
 SLICE_PAIRS = 16
 """Pairs of a slice at most: what is lost when a run is cut off."""
@@ -40,46 +34,18 @@ class Bounds(NamedTuple):
     meters: float | None
 
 
-def clouds_of(pair: Pair) -> tuple[CloudKey, CloudKey]:
-    """The clouds of a pair, with the voxel edge that their scale is measured after."""
-    given = pair.settings.overrides.voxel if needs_scale(pair) else None
-    one, other = sources_of(pair)
-    return (one, given), (other, given)
-
-
-def needs_scale(pair: Pair) -> bool:
-    """Whether lengths follow from the clouds."""
-    return pair.settings.preset == "default"
-
-
-def options_for(pair: Pair, looks: Sequence[Look], scales: Sequence[Scale]) -> RegistrationOptions:
-    """The complete options of a pair from what is known of its clouds, source and target."""
-    colored = all(look.colored for look in looks)
-    options = options_of(*scales, colored=colored) if needs_scale(pair) else PAPER
-    options = pair.settings.overrides.over(options)
-    return changed(options, pair.settings.effort, pair.settings.solver)
-
-
 def pair_item(
-    pair: Pair,
-    options: RegistrationOptions,
-    looks: Mapping[CloudKey, Look],
-    folder: Path,
-    bounds: Bounds,
-    max_bytes: int,
+    pair: Pair, options: RegistrationOptions, looks: tuple[Look, Look], folder: Path, device: str, bounds: Bounds
 ) -> PairItem:
     """A pair with what its descriptions depend on, which are kept in a folder."""
-    clouds = clouds_of(pair)
-    colored = all(looks[cloud].colored for cloud in clouds)
-    needed = description_options(options, blocks_of(recipes_of(options, colored)))
+    colored = (looks[0].colored, looks[1].colored)
+    needed = description_options(options, blocks_of(recipes_of(options, all(colored))))
     sides = [
-        DescribeItem(
-            source, looks[source, asked].digest, needed, _file(folder, looks[source, asked], needed), max_bytes
-        )
-        for source, asked in clouds
+        DescribeItem(source, look.digest, needed, str(folder / described_name(look.digest, needed, device)))
+        for source, look in zip(sources_of(pair), looks, strict=True)
     ]
-    told = Told((sides[0].digest, sides[1].digest), bounds.degrees, bounds.meters)
-    return PairItem(pair, options, sides[0], sides[1], told)
+    told = Told((looks[0].digest, looks[1].digest), bounds.degrees, bounds.meters)
+    return PairItem(pair, options, sides[0], sides[1], colored, told)
 
 
 def missing_descriptions(items: Sequence[PairItem]) -> list[DescribeItem]:
@@ -88,12 +54,11 @@ def missing_descriptions(items: Sequence[PairItem]) -> list[DescribeItem]:
     return [side for file, side in wanted.items() if not os.path.exists(file)]
 
 
-def slices_of(items: Sequence[PairItem], looks: Mapping[CloudKey, Look], workers: int, max_bytes: int) -> list[Slice]:
+def slices_of(items: Sequence[PairItem], workers: int, max_bytes: int) -> list[Slice]:
     """Pairs that may go together, in order, as many as the memory of one worker allows."""
     alike: dict[object, list[PairItem]] = {}
     for item in items:
-        colored = tuple(looks[cloud].colored for cloud in clouds_of(item.pair))
-        key = (without_lengths(item.options), colored, item.pair.settings.seed)
+        key = (without_lengths(item.options), item.colored, item.pair.settings.seed)
         alike.setdefault(key, []).append(item)
     most = max(1, min(SLICE_PAIRS, -(-len(items) // (_ROUNDS * workers))))
     room = min(SLICE_BYTES, max_bytes // _HELD)
@@ -116,7 +81,3 @@ def _cut(items: Sequence[PairItem], most: int, room: int) -> list[Slice]:
 
 def _size(file: str) -> int:
     return os.stat(file).st_size if os.path.exists(file) else SLICE_BYTES
-
-
-def _file(folder: Path, look: Look, options: RegistrationOptions) -> str:
-    return str(folder / described_name(look.digest, options))

@@ -12,7 +12,7 @@ from typing import Any
 
 from torchreg.batch.jobs import Job, load_and_compute
 from torchreg.batch.outcome import Outcome
-from torchreg.errors import at_least
+from torchreg.errors import at_least, expect
 
 _RETRIES = 3
 _AHEAD = 2  # tasks in the scheduler's hands, for every worker
@@ -31,25 +31,28 @@ class RayEngine:
     """
 
     def __init__(self, workers: int | None = None, address: str | None = None, device: str = "cpu") -> None:
+        if workers is not None:
+            at_least(workers, "workers", 1)
+            expect(address is None, "workers", "none beside the address of a cluster, which has its own", workers)
         try:
             import ray
         except ImportError:
-            raise ValueError(
-                '--engine ray: expected Ray, which pip install "torchreg-pointcloud[ray]" brings'
-            ) from None
-        self._ray, self._device = ray, device
+            raise ValueError('engine: expected Ray, which pip install "torchreg-pointcloud[ray]" brings') from None
+        self._ray, self._own_device = ray, device
         self._started = not ray.is_initialized()
         if self._started:
-            started = {} if address is not None else {"num_cpus": workers, "include_dashboard": False}
-            if workers is not None:
-                at_least(workers, "workers", 1)
+            started: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
             try:
-                ray.init(address=address, log_to_driver=False, logging_level="ERROR", **started)
+                ray.init(address=address or "local", log_to_driver=False, logging_level="ERROR", **started)
             except Exception as error:  # Ray raises many kinds, its plain one among them
-                named = "--engine ray" if address is None else f"--ray-address {address}"
-                raise ValueError(f"{named}: expected a cluster that answers, got {error}") from None
+                raise ValueError(f"address: expected a cluster that answers, got {address!r}: {error}") from None
         gpus = 0 if device == "cpu" else 1
         self._task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=_RETRIES)(load_and_compute)
+
+    @property
+    def device(self) -> str:
+        """Where it computes."""
+        return self._own_device
 
     @property
     def workers(self) -> int:
@@ -66,7 +69,7 @@ class RayEngine:
                     place = next(waiting, None)
                     if place is None:
                         break
-                    handed[self._task.remote(job, self._device, items[place])] = place
+                    handed[self._task.remote(job, self._own_device, items[place])] = place
                 if not handed:
                     return
                 ready, _ = self._ray.wait(list(handed), num_returns=1)

@@ -58,7 +58,8 @@ class Row:
     def failed(pair: Pair, reason: str, *, expected: bool) -> Row:
         """A pair that never came to be registered."""
         state = UNREADABLE if expected else BROKEN
-        table = _line(pair, {"success": False, "state": state, "reason": reason})
+        missed = {} if pair.truth is None else {"found": False}
+        table = _line(pair, {"success": False, "state": state, "reason": reason, **missed})
         return Row(name=pair.name, state=state, table=table, seconds={}, record=None)
 
 
@@ -134,7 +135,13 @@ def row_of(pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, to
 def _line(pair: Pair, known: dict[str, Any]) -> dict[str, Any]:
     own = {"name": pair.name, "source": pair.source_text, "target": pair.target_text}
     line = {name: own.get(name, known.get(name)) for name in COLUMNS}
-    return line | {f"pair_{name}" if name in COLUMNS else name: text for name, text in pair.extra}
+    taken = {name for name, _ in pair.extra}
+    for name, text in pair.extra:
+        free = name
+        while free in COLUMNS or (free != name and free in taken):
+            free = f"pair_{free}"
+        line[free] = text
+    return line
 
 
 def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, told: Told) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from torchreg.registration.overrides import OptionOverrides
 from torchreg.types.options import EFFORTS, SOLVERS
 
 PRESETS = ("default", "paper")
+SCALES = ("shared", "pair")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,8 @@ class PairSettings:
 
     Attributes:
         preset: ``"default"``: lengths from the clouds' scale; ``"paper"``: the paper's, in meters.
+        scale: what the default lengths follow: ``"shared"``, one scale for clouds that pairs link and whose spacings
+            are about equal, so that each is described once; ``"pair"``, the two clouds alone, as ``register``.
         overrides: what is said over either; its fields are columns too.
         effort: as ``register``'s; ``None`` takes the preset's.
         solver: likewise.
@@ -33,6 +36,7 @@ class PairSettings:
     """
 
     preset: str = "default"
+    scale: str = "shared"
     overrides: OptionOverrides = field(default_factory=OptionOverrides)
     effort: str | None = None
     solver: str | None = None
@@ -42,6 +46,7 @@ class PairSettings:
 
     def __post_init__(self) -> None:
         one_of(self.preset, "preset", PRESETS)
+        one_of(self.scale, "scale", SCALES)
         if self.effort is not None:
             one_of(self.effort, "effort", EFFORTS)
         if self.solver is not None:
@@ -92,7 +97,7 @@ _READERS: dict[str, Any] = {
     **dict.fromkeys(_OVERRIDES, float),
     "hypotheses": int,
     "no_color": _switch,
-    **dict.fromkeys(("preset", "effort", "solver", "viewpoint"), str),
+    **dict.fromkeys(("preset", "scale", "effort", "solver", "viewpoint"), str),
     **dict.fromkeys(("seed", "points"), int),
 }
 _KINDS = {float: "a number", int: "a whole number", _switch: "true or false", str: "a text"}

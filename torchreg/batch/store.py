@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +24,7 @@ from filelock import FileLock, Timeout
 from torchreg.batch.clouds import CloudSource, Look
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row
-from torchreg.batch.scales import Scale
+from torchreg.batch.sameness import pair_text, same_run
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write, remove_remains
 
@@ -34,7 +34,7 @@ CREATE TABLE IF NOT EXISTS pairs (
     line TEXT NOT NULL, seconds TEXT NOT NULL, finished TEXT NOT NULL, runs INTEGER NOT NULL
 );
 CREATE TABLE IF NOT EXISTS clouds (
-    source TEXT NOT NULL, asked TEXT NOT NULL, stamp TEXT NOT NULL, look TEXT NOT NULL, scale TEXT,
+    source TEXT NOT NULL, asked TEXT NOT NULL, stamp TEXT NOT NULL, look TEXT NOT NULL,
     PRIMARY KEY (source, asked)
 );
 CREATE TABLE IF NOT EXISTS work (stage TEXT PRIMARY KEY, seconds REAL NOT NULL);
@@ -86,22 +86,22 @@ class Store:
         self._open(manifest)
 
     def _open(self, manifest: Mapping[str, Any]) -> None:
-        expect(self.folder.absolute().parent.is_dir(), "--out", "a folder in one that exists", str(self.folder))
-        expect(not self.folder.exists() or self.folder.is_dir(), "--out", "a folder", f"the file {self.folder}")
+        expect(self.folder.absolute().parent.is_dir(), "out", "a folder in one that exists", str(self.folder))
+        expect(not self.folder.exists() or self.folder.is_dir(), "out", "a folder", f"the file {self.folder}")
         known = self.folder / "run.json"
         if self.folder.is_dir() and not known.exists():
             # a run that was killed at once may have left a lock or a part of run.json
             others = sorted(path.name for path in self.folder.iterdir() if not path.name.startswith("."))
             if others:
                 found = ", ".join(others[:3])
-                raise ValueError(f"--out: expected an empty folder, or one of a batch, got {self.folder} with {found}")
+                raise ValueError(f"out: expected an empty folder, or one of a batch, got {self.folder} with {found}")
         self.folder.mkdir(exist_ok=True)
         self._lock = FileLock(self.folder / ".lock")
         try:
             self._lock.acquire(timeout=0)
         except Timeout:
             raise ValueError(
-                f"--out: expected a folder without a run at work, got {self.folder}, which has one"
+                f"out: expected a folder without a run at work, got {self.folder}, which has one"
             ) from None
         try:
             self._begin(known, manifest)
@@ -111,17 +111,18 @@ class Store:
 
     def _begin(self, known: Path, manifest: Mapping[str, Any]) -> None:
         if known.exists():
-            _same_run(known, manifest)
+            same_run(known, manifest)
         else:
             with atomic_write(known) as file:
                 file.write((json.dumps(manifest, indent=2) + "\n").encode())
         (self.folder / "pairs").mkdir(exist_ok=True)
         for folder in (self.folder, self.folder / "pairs"):
             remove_remains(folder)
-        self._database = sqlite3.connect(self.folder / "batch.sqlite")
-        self._database.row_factory = sqlite3.Row
-        with self._database:
-            self._database.executescript(_TABLES)
+        with self._database_errors():
+            self._database = sqlite3.connect(self.folder / "batch.sqlite")
+            self._database.row_factory = sqlite3.Row
+            with self._database:
+                self._database.executescript(_TABLES)
 
     def __enter__(self) -> Store:
         return self
@@ -134,13 +135,12 @@ class Store:
 
     def finished(self) -> dict[str, Finished]:
         """The pairs that have a row, by name."""
-        with closing(self._database.execute("SELECT * FROM pairs")) as rows:
-            return {row["name"]: Finished(row) for row in rows}
+        return {row["name"]: Finished(row) for row in self._rows("SELECT * FROM pairs")}
 
-    def runs(self) -> dict[str, int]:
-        """How often each pair with a row was finished; more than once where it was tried again."""
-        with closing(self._database.execute("SELECT name, runs FROM pairs")) as rows:
-            return {row["name"]: row["runs"] for row in rows}
+    def count_finished(self) -> int:
+        """How many pairs have a row."""
+        count: int = self._rows("SELECT COUNT(*) AS count FROM pairs")[0]["count"]
+        return count
 
     def finish(self, pair: Pair, row: Row, options: str) -> None:
         """Write the file of a pair and commit its row.
@@ -148,43 +148,37 @@ class Store:
         Raises:
             OSError: it cannot be written; rows committed before stand.
         """
-        if row.record is not None:
-            with atomic_write(self.folder / "pairs" / f"{pair.file_name}.json") as file:
+        record = self.folder / "pairs" / f"{pair.file_name}.json"
+        if row.record is None:
+            record.unlink(missing_ok=True)  # of an earlier run, when the clouds were others
+        else:
+            with atomic_write(record) as file:
                 file.write((json.dumps(row.record, indent=2, allow_nan=False) + "\n").encode())
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         values = (
             row.name,
             row.state,
-            said_of(pair),
+            pair_text(pair),
             options,
             *map(json.dumps, (row.digests, row.table, row.seconds)),
             now,
         )
         self._commit(_FINISH, [values])
 
-    def looks(self) -> dict[tuple[CloudSource, float | None], tuple[str, Look, Scale | None]]:
-        """What was seen of clouds: the stamp of the file then, the look, and the shared scale once it is known."""
-        with closing(self._database.execute("SELECT * FROM clouds")) as rows:
-            return {
-                (CloudSource(*json.loads(row["source"])), json.loads(row["asked"])): (
-                    row["stamp"],
-                    Look(*json.loads(row["look"])),
-                    None if row["scale"] is None else Scale(*json.loads(row["scale"])),
-                )
-                for row in rows
-            }
+    def looks(self) -> dict[tuple[CloudSource, float | None], tuple[str, Look]]:
+        """What was seen of clouds: the stamp of the file then, and the look."""
+        return {
+            (CloudSource(*json.loads(row["source"])), json.loads(row["asked"])): (
+                row["stamp"],
+                Look(*json.loads(row["look"])),
+            )
+            for row in self._rows("SELECT * FROM clouds")
+        }
 
     def keep_look(self, source: CloudSource, asked: float | None, stamp: str, look: Look) -> None:
         """Keep what was seen of a cloud, in place of what was seen before."""
         values = (json.dumps(source), json.dumps(asked), stamp, json.dumps(look))
-        self._commit("INSERT OR REPLACE INTO clouds VALUES (?, ?, ?, ?, NULL)", [values])
-
-    def keep_scales(self, scales: Mapping[tuple[CloudSource, float | None], Scale]) -> None:
-        """Keep the shared scales of all clouds, together."""
-        values = [
-            (json.dumps(scale), json.dumps(source), json.dumps(asked)) for (source, asked), scale in scales.items()
-        ]
-        self._commit("UPDATE clouds SET scale = ? WHERE source = ? AND asked = ?", values)
+        self._commit("INSERT OR REPLACE INTO clouds VALUES (?, ?, ?, ?)", [values])
 
     def add_work(self, stage: str, seconds: float) -> None:
         """Count seconds of work that no pair alone is charged with."""
@@ -195,43 +189,21 @@ class Store:
 
     def work(self) -> dict[str, float]:
         """Seconds that no pair alone is charged with, by stage."""
-        with closing(self._database.execute("SELECT stage, seconds FROM work ORDER BY rowid")) as rows:
-            return {row["stage"]: row["seconds"] for row in rows}
+        rows = self._rows("SELECT stage, seconds FROM work ORDER BY rowid")
+        return {row["stage"]: row["seconds"] for row in rows}
+
+    def _rows(self, query: str) -> list[sqlite3.Row]:
+        with self._database_errors(), closing(self._database.execute(query)) as rows:
+            return list(rows)
 
     def _commit(self, command: str, values: Sequence[tuple[Any, ...]]) -> None:
+        with self._database_errors(), self._database:
+            self._database.executemany(command, values)
+
+    @contextmanager
+    def _database_errors(self) -> Iterator[None]:
+        """Name the file where the database cannot be used: a full disk, a damaged file."""
         try:
-            with self._database:
-                self._database.executemany(command, values)
-        except sqlite3.OperationalError as error:  # a full disk, a file system that went away
+            yield
+        except sqlite3.DatabaseError as error:
             raise OSError(f"{self.folder / 'batch.sqlite'}: {error}") from None
-
-
-def said_of(pair: Pair) -> str:
-    """What a pair was told, as one text."""
-    said = {
-        "source": pair.source_text,
-        "target": pair.target_text,
-        **pair.settings.flat(),
-        "truth": pair.truth,
-        **dict(pair.extra),
-    }
-    return json.dumps(said, sort_keys=True)
-
-
-def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """What two runs or pairs were told differently, in words; empty where nothing is."""
-    names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
-    return ", ".join(f"{name} {then.get(name)!r} there and {now.get(name)!r} now" for name in names)
-
-
-def _same_run(known: Path, manifest: Mapping[str, Any]) -> None:
-    try:
-        then = json.loads(known.read_text())
-        expect(isinstance(then, dict), str(known), "the options of a run", then)
-    except ValueError as error:
-        raise ValueError(f"{known}: expected the options of a run, got another file ({error})") from None
-    different = differences(then, manifest)
-    if different:
-        raise ValueError(
-            f"--out: expected a new folder or the options that {known.parent} was begun with, got {different}"
-        )

@@ -42,5 +42,6 @@ def torchreg(
 ) -> None:
     """Global registration of colored point clouds: FPFH and color features, mutual matches, batched RANSAC.
 
-    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed.
+    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed; batch has
+    its own.
     """

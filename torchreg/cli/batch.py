@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,7 +18,6 @@ from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output
 from torchreg.cli.overrides import Overrides
 from torchreg.errors import expect
-from torchreg.version import __version__
 
 if TYPE_CHECKING:
     from torchreg.batch import Bounds, Pair, PairSettings, Store
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """How a batch is computed: nothing here changes a result."""
+    """How a batch is computed; of this, the device alone may change the last bits of a result."""
 
     engine: own.EngineName = own.EngineKind.local
     ray_address: own.RayAddress = None
@@ -57,6 +56,7 @@ def batch(
     out: own.Out,
     pairs: own.PairsFile = None,
     all_pairs: own.AllPairs = None,
+    scale: own.ScaleName = own.ScaleKind.shared,
     points: opt.Points = None,
     viewpoint: opt.ViewpointText = "auto",
     effort: opt.EffortName = None,
@@ -68,7 +68,7 @@ def batch(
     """Register every pair of PAIRS, a table with the columns source and target, and keep each as soon as it is done.
 
     The same command goes on where it was cut off: no pair is lost, none computed twice beyond those in hand. Further
-    columns: name, truth (a file or sixteen numbers), and any of preset, voxel, normal_radius, feature_radius,
+    columns: name, truth (a file or sixteen numbers), and any of preset, scale, voxel, normal_radius, feature_radius,
     color_radius, inlier_threshold, hypotheses, confidence, no_color, effort, solver, seed, points, viewpoint for that
     pair alone; others are carried into the table.
 
@@ -78,10 +78,12 @@ def batch(
     could not be read, say; the same command tries these again.
     """
     from torchreg.batch import Bounds, PairSettings, Store
+    from torchreg.batch.described_file import computing_versions
 
     expect((pairs is None) != (all_pairs is None), "PAIRS", "a pairs file or --all-pairs, one of them", pairs)
     use(work.device, None)
     settings = PairSettings(
+        scale=scale.value,
         preset=overrides.preset.value,
         overrides=overrides.said(),
         effort=None if effort is None else effort.value,
@@ -92,9 +94,10 @@ def batch(
     )
     listed = _listed(pairs, all_pairs, settings)
     bounds = Bounds(recall_degrees, recall_meters)
-    manifest = {"torchreg": __version__, **settings.flat(), "recall": list(bounds)}
-    with Store(out, manifest) as store:
-        _run(listed, store, work, bounds)
+    made = {**computing_versions(), "device": work.device.value}
+    manifest = {**made, **settings.flat(), "recall": list(bounds)}
+    with closing(work.start()) as engine, Store(out, manifest) as store:
+        _run(listed, store, engine, work, bounds)
         broken = _finish(listed, store)
     if broken:
         raise typer.Exit(NOT_REGISTERED)
@@ -108,12 +111,13 @@ def _listed(pairs: Path | None, all_pairs: str | None, settings: PairSettings) -
     return pairs_of_glob(all_pairs or "", settings)
 
 
-def _run(pairs: tuple[Pair, ...], store: Store, work: Work, bounds: Bounds) -> None:
+def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, bounds: Bounds) -> None:
     """The batch itself, and what is to be said of it on the way."""
     from torchreg.batch import run
     from torchreg.io.atomic import remove_remains
 
     described = (store.folder / "described" if work.cache is None else work.cache).absolute()
+    expect(described.parent.is_dir(), "--cache", "a folder in one that exists", str(described))
     described.mkdir(exist_ok=True)
     remove_remains(described, older_than=3600.0)
     missing = sorted({path for pair in pairs for path in (pair.source, pair.target) if not Path(path).exists()})
@@ -121,18 +125,19 @@ def _run(pairs: tuple[Pair, ...], store: Store, work: Work, bounds: Bounds) -> N
         complain(f"{path}: no such file; its pairs fail")
     if len(missing) > 20:
         complain(f"and {len(missing) - 20} more files that do not exist")
-    engine: Any = work.start()
-    with closing(engine) if hasattr(engine, "close") else nullcontext(), shown() as report:
+    with shown() as report:
         try:
             done = run(
                 pairs, store, engine, described=described, bounds=bounds, max_bytes=work.max_bytes, report=report
             )
         except KeyboardInterrupt:
-            finished = len(store.finished())
-            complain(f"{finished:,} of {len(pairs):,} pairs are finished; the same command goes on from there")
+            finished = store.count_finished()
+            complain(f"{finished:,} of {len(pairs):,} pairs are done with; the same command goes on from there")
             raise
     if done.before:
         complain(f"{done.before:,} pairs were finished before")
+    if done.described or done.reused:
+        complain(f"{done.described:,} clouds were described, {done.reused:,} descriptions were there already")
     if done.changed:
         complain(f"{done.changed:,} finished pairs have other clouds or lengths now and were registered again")
 

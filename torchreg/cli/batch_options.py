@@ -18,6 +18,22 @@ class EngineKind(str, Enum):
     ray = "ray"
 
 
+class ScaleKind(str, Enum):
+    """What the default lengths follow."""
+
+    shared = "shared"
+    pair = "pair"
+
+
+ScaleName = Annotated[
+    ScaleKind,
+    typer.Option(
+        "--scale",
+        help="What the default lengths follow (a name). shared: one spacing for clouds that pairs link and that are "
+        "about equally dense, so that each is described once. pair: the two clouds alone, as torchreg register.",
+        rich_help_panel="Lengths",
+    ),
+]
 PairsFile = Annotated[
     Path | None,
     typer.Argument(
@@ -107,7 +123,8 @@ MaxBytes = Annotated[
         "--max-bytes",
         metavar="BYTES",
         min=1,
-        help="About the memory to work in, over all workers (bytes; a quarter of what is free unless told).",
+        help="About what pairs that are registered together may hold, over all workers (bytes; a quarter of what is "
+        "free unless told).",
         rich_help_panel=_RUN,
     ),
 ]

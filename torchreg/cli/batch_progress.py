@@ -15,7 +15,7 @@ from rich.progress import Progress as Bar
 from torchreg.cli.guard import complain
 
 if TYPE_CHECKING:
-    from torchreg.batch import Progress
+    from torchreg.batch.progress import Progress
 
 _EVERY = 10.0  # seconds between lines
 _WORDS = {"look": ("looking at", "clouds"), "describe": ("describing", "clouds"), "register": ("registering", "pairs")}
@@ -53,7 +53,7 @@ class _Pace:
             return failed.removeprefix(", ")
         rate = done / spent
         left = f", {(now.total - now.done) / rate:.0f} s left" if now.done < now.total else ""
-        return f"{rate:.2g} {_WORDS[now.stage][1]}/s{left}{failed}"
+        return f"{rate:{'.0f' if rate >= 10 else '.2g'}} {_WORDS[now.stage][1]}/s{left}{failed}"
 
 
 class _Lines:

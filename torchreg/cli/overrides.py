@@ -8,7 +8,7 @@ from torchreg.cli import options as opt
 from torchreg.preprocess import voxel_downsample
 from torchreg.registration import PAPER, derive_options, spacing
 from torchreg.registration.overrides import OptionOverrides
-from torchreg.registration.scale import scaled_options, usable
+from torchreg.registration.scale import options_of_spacings, usable
 from torchreg.types import Clouds, RegistrationOptions
 
 
@@ -52,6 +52,6 @@ def options_for(source: Clouds, target: Clouds, overrides: Overrides) -> Registr
     if overrides.voxel is None or not (usable(source) and usable(target)):
         return overrides.over(derive_options(source, target)[0])
     thinned = [voxel_downsample(cloud, overrides.voxel) for cloud in (source, target)]
-    scale = max(float(spacing(cloud)) for cloud in thinned) or overrides.voxel
+    apart = (float(spacing(thinned[0])), float(spacing(thinned[1])))
     colored = source.colors is not None and target.colors is not None
-    return overrides.over(scaled_options(scale, colored=colored))
+    return overrides.over(options_of_spacings(apart, overrides.voxel, colored=colored))

@@ -53,7 +53,7 @@ def describe_clouds(
     expect(not joint, "options", "an equalization of each cloud by itself", first.equalization)
     blocks = blocks_of(recipes_of(first, clouds.colors is not None))
     facts = facts_of(clouds)
-    defects = [one.defect or too_wide(one, option) for one, option in zip(facts, per_cloud, strict=True)]
+    defects = [one.defect or too_wide(one, option.voxel_size) for one, option in zip(facts, per_cloud, strict=True)]
     thin = downsample(set_aside(clouds.detach(), defects), per_cloud)
     found = describe_thin(thin, per_cloud, blocks, Stopwatch(), max_bytes=max_bytes)
     return replace(found, facts=facts)

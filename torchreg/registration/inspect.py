@@ -50,17 +50,17 @@ def refusal(source: CloudFacts, target: CloudFacts, options: RegistrationOptions
             return facts.defect.format(name)
     if options is not None:
         for name, facts in (("target", target), ("source", source)):
-            reason = too_wide(facts, options)
+            reason = too_wide(facts, options.voxel_size)
             if reason:
                 return reason.format(name)
     return ""
 
 
-def too_wide(facts: CloudFacts, options: RegistrationOptions) -> str:
+def too_wide(facts: CloudFacts, voxel_size: float | None) -> str:
     """Why the voxels of a cloud cannot be numbered, ``{}`` standing for its role, or an empty text."""
-    if options.voxel_size is None or facts.extent <= _MOST_VOXELS * options.voxel_size:
+    if voxel_size is None or facts.extent <= _MOST_VOXELS * voxel_size:
         return ""
-    return f"points too far apart: {facts.extent:.3g} m in the {{}}, for voxels of {options.voxel_size:.3g} m"
+    return f"points too far apart: {facts.extent:.3g} m in the {{}}, for voxels of {voxel_size:.3g} m"
 
 
 def set_aside(clouds: Clouds, refused: Sequence[str]) -> Clouds:

@@ -123,11 +123,24 @@ def options_of_scales(source: CloudScale, target: CloudScale, *, colored: bool) 
     voxel_size = None
     if max(source.points, target.points) > MAX_POINTS:
         voxel_size = max(source.thinning_voxel, target.thinning_voxel)
-    apart = (source.spacing(voxel_size), target.spacing(voxel_size))
-    scale = max(apart)
-    if voxel_size is None and min(apart) > 0 and scale > UNEVEN * min(apart):
+    return options_of_spacings((source.spacing(voxel_size), target.spacing(voxel_size)), voxel_size, colored=colored)
+
+
+def options_of_spacings(
+    apart: tuple[float, float], voxel_size: float | None, *, scale: float | None = None, colored: bool = True
+) -> RegistrationOptions:
+    """The options of a pair by the spacings of its clouds.
+
+    Args:
+        apart: meters, of source and target, after the voxels where there are any.
+        voxel_size: meters, where it is settled; ``None`` asks for one only where the spacings are uneven.
+        scale: meters, the spacing that lengths follow; ``None`` takes the coarser one.
+        colored: whether both clouds have colors.
+    """
+    scale = max(apart) if scale is None else scale
+    if voxel_size is None and min(apart) > 0 and max(apart) > UNEVEN * min(apart):
         voxel_size = scale
-    return scaled_options(scale if scale > 0 else 1.0, voxel_size=voxel_size, colored=colored)
+    return scaled_options(scale if scale > 0 else voxel_size or 1.0, voxel_size=voxel_size, colored=colored)
 
 
 def scaled_options(scale: float, *, voxel_size: float | None = None, colored: bool = True) -> RegistrationOptions:
