@@ -60,5 +60,6 @@ def test_names_differ_where_anything_does():
     assert len(set(digests)) == len(clouds)
     assert digest_of(replace(cloud, points=cloud.points.clone())) == digests[0]
     options = [OPTIONS, *(replace(OPTIONS, **{name: 0.7}) for name in ("voxel_size", "normal_radius", "color_radius"))]
-    names = {described_name(digest, option) for digest in digests for option in options}
-    assert len(names) == len(digests) * len(options)
+    devices = ("cpu", "cuda")
+    names = {described_name(digest, option, device) for digest in digests for option in options for device in devices}
+    assert len(names) == len(digests) * len(options) * len(devices)

@@ -4,12 +4,15 @@ import errno
 import json
 import os
 import sqlite3
+import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pyarrow.parquet
 import pytest
 import torch
 from filelock import FileLock
+from problems import room_pair
 from projects import lines_of, make_project, write_table
 
 import torchreg as tr
@@ -88,6 +91,101 @@ def test_a_pair_alone_has_the_lengths_and_the_result_of_register(batch, room, tm
     result = tr.register(tr.read_cloud(room.source), tr.read_cloud(room.target))
     assert [float(number) for number in line["T_target_source"].split()] == result.T_target_source.flatten().tolist()
     assert float(line["inlier_threshold"]) == result.options[0].ransac.inlier_threshold
+
+
+@pytest.mark.parametrize("words", [(), ("--scale", "pair")])
+@pytest.mark.parametrize("sizes", [(900, 1000), (300, 3000), (40_000, 15_000)])
+def test_the_lengths_of_a_pair_alone_are_those_that_register_derives(batch, tmp_path, sizes, words):
+    clouds = [room_pair(size, seed=k).source for k, size in enumerate(sizes)]
+    for name, cloud in zip("ab", clouds, strict=True):
+        tr.write_cloud(tmp_path / f"{name}.ply", cloud)
+    table = write_table(tmp_path / "pairs.csv", [{"source": "a.ply", "target": "b.ply", "effort": "fast"}])
+    assert batch(table, *words).exit_code == 0
+    record = json.loads((tmp_path / "out" / "pairs" / "a__b.json").read_text())
+    read = [tr.read_cloud(tmp_path / f"{name}.ply") for name in "ab"]
+    alone = tr.register(*read, effort="fast")
+    assert record["options"] == json.loads(json.dumps(asdict(alone.options[0])))
+    assert record["T_target_source"] == alone.T_target_source[0].tolist()
+
+
+def test_every_pair_has_its_own_lengths_where_that_is_asked_for(batch, project, tmp_path):
+    assert batch(project.table, "--scale", "pair").exit_code == 0
+    for line in lines_of(tmp_path / "out"):
+        read = [tr.read_cloud(project.folder / line[side]) for side in ("source", "target")]
+        assert float(line["inlier_threshold"]) == tr.derive_options(*read)[0].ransac.inlier_threshold
+
+
+def test_a_moved_copy_of_a_cloud_does_not_share_its_choice_of_points(batch, room, tmp_path):
+    cloud = tr.read_cloud(room.source)
+    turned = tr.transform(cloud, read_transform_text(room.truth))
+    tr.write_cloud(tmp_path / "copy.ply", turned)
+    table = write_table(tmp_path / "pairs.csv", [{"source": room.source, "target": "copy.ply", "points": 500}])
+    assert batch(table).exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    assert (line["points_source"], line["points_target"]) == ("500", "500")
+    assert float(line["inlier_rmse"]) > 1e-3  # all points shared would lie on each other
+
+
+def test_a_pair_that_failed_may_be_corrected(batch, project, tmp_path):
+    rows = [{"name": "x", "source": project.folder / "c0.ply", "target": "typo.ply"}]
+    table = write_table(tmp_path / "pairs.csv", rows)
+    assert batch(table).exit_code == 3
+    rows[0]["target"] = project.folder / "c1.ply"
+    write_table(tmp_path / "pairs.csv", rows)
+    assert batch(table).exit_code == 0
+    assert lines_of(tmp_path / "out")[0]["state"] in ("registered", "refused")
+
+
+def test_recall_counts_the_pairs_that_could_not_be_read(batch, room, tmp_path):
+    rows = [{"name": "x", "source": "missing.ply", "target": room.target, "truth": room.truth}]
+    assert batch(write_table(tmp_path / "pairs.csv", rows)).exit_code == 3
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["with_truth"], summary["recalled"], summary["recall"]) == (1, 0, 0.0)
+
+
+def test_a_cloud_that_spoils_a_slice_fails_its_own_pairs_alone(batch, project, tmp_path, monkeypatch):
+    from torchreg.batch import jobs
+
+    whole = jobs._register
+    calls = []
+
+    def spoiled(item, loaded, device):
+        calls.append(len(item))
+        if any("c2" in pair.pair.name for pair in item):
+            raise RuntimeError("spoiled")
+        return whole(item, loaded, device)
+
+    monkeypatch.setattr(sys.modules["torchreg.batch.run"], "REGISTER", jobs.Job(jobs._load_slice, spoiled))
+    monkeypatch.setattr("torchreg.batch.plan._ROUNDS", 1)
+    assert batch(project.table).exit_code == 3
+    assert calls == [3, 1, 1, 1]
+    states = {line["name"]: line["state"] for line in lines_of(tmp_path / "out")}
+    assert states["c0__c2"] == states["c1__c2"] == "error"
+    assert states["c0__c1"] in ("registered", "refused")
+
+
+def test_a_damaged_database_is_named(batch, project, tmp_path):
+    assert batch(project.table).exit_code == 0
+    (tmp_path / "out" / "batch.sqlite").write_bytes(b"no database" * 1000)
+    refused = batch(project.table)
+    assert refused.exit_code == 2
+    assert "batch.sqlite" in refused.stderr
+
+
+def test_all_pairs_of_names_that_could_be_confused_have_names_of_their_own(batch, project, tmp_path):
+    for name in ("a", "b__c", "a__b", "c"):
+        (tmp_path / f"{name}.ply").write_bytes((project.folder / "c0.ply").read_bytes())
+    assert batch("--all-pairs", tmp_path / "*.ply", "--effort", "fast").exit_code == 0
+    assert len({line["name"] for line in lines_of(tmp_path / "out")}) == 6
+    assert len(list((tmp_path / "out" / "pairs").iterdir())) == 6
+
+
+def test_columns_named_like_those_of_the_table_are_kept_beside_them(batch, room, tmp_path):
+    table = room_table(room, tmp_path, state="Bavaria", pair_state="Hesse", overlap="0.5")
+    assert batch(table).exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    assert (line["state"], line["pair_overlap"]) == ("registered", "0.5")
+    assert {line["pair_state"], line["pair_pair_state"]} == {"Bavaria", "Hesse"}
 
 
 def test_columns_change_the_options_of_their_pair(batch, room, tmp_path):
@@ -301,6 +399,7 @@ def test_what_does_not_fit_together_is_refused(batch, run, project, tmp_path):
         refused = batch(*words)
         assert refused.exit_code == 2, words
         assert named in refused.stderr.replace("\n", ""), words
+        assert not (tmp_path / "out").exists(), words
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("precious")
     refused = batch(project.table, out="full")

@@ -12,6 +12,7 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import threading
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -25,6 +26,7 @@ from torchreg.batch.outcome import Outcome, attempt
 from torchreg.errors import at_least
 
 _DEATHS = 3  # that one item may cause, alone
+_PAUSE = 0.5  # seconds until a process that was killed is gone, so that another takes its place
 _AHEAD = 2  # items that are at work or handed over, for every worker
 _DIED = "the process that worked on it ended unexpectedly each time, out of memory or killed"
 
@@ -71,6 +73,7 @@ class LocalEngine:
                 # the latter two: the server of processes itself is gone; it is started again
                 if isinstance(error, RuntimeError) and "DataLoader worker" not in str(error):
                     raise
+                time.sleep(_PAUSE)
                 deaths += bool(suspects)
                 suspects = [k for k in suspects if k in pending] or list(pending)[: _AHEAD * self.workers]
                 if deaths == _DEATHS:

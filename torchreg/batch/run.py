@@ -122,8 +122,8 @@ def _todo(
     for pair in pairs:
         row, trouble = finished.get(pair.name), found.trouble(pair)
         open_ = row is None or row.state in RETRIED
-        if trouble:
-            failed += [(pair, Outcome(None, trouble))] if open_ else []
+        if trouble is not None:
+            failed += [(pair, trouble)] if open_ else []
         elif open_ or not own_lengths(pair, found) or _digests(pair, found) != (row.digests if row else None):
             readable.append(pair)
     options, lost = options_of_pairs(readable, found, store, engine)

@@ -33,12 +33,12 @@ class Survey(NamedTuple):
     """
 
     looks: dict[CloudKey, Look]
-    unreadable: dict[CloudKey, str]
+    unreadable: dict[CloudKey, Outcome]
     scales: dict[CloudKey, Scale]
 
-    def trouble(self, pair: Pair) -> str:
-        """Why a cloud of the pair cannot be read, or an empty text."""
-        return next((self.unreadable[cloud] for cloud in clouds_of(pair) if cloud in self.unreadable), "")
+    def trouble(self, pair: Pair) -> Outcome | None:
+        """What came of a cloud of the pair that cannot be read; ``None`` where both can."""
+        return next((self.unreadable[cloud] for cloud in clouds_of(pair) if cloud in self.unreadable), None)
 
     def looks_of(self, pair: Pair) -> tuple[Look, Look]:
         """Of source and target."""
@@ -76,7 +76,7 @@ def survey(pairs: Sequence[Pair], store: Store, engine: Engine, report: Report) 
         cloud, stamp = new[place]
         store.add_work("looking at clouds", outcome.seconds)
         if outcome.reason:
-            found.unreadable[cloud] = outcome.reason
+            found.unreadable[cloud] = outcome
         else:
             found.looks[cloud] = outcome.value
             store.keep_look(*cloud, stamp, outcome.value)
