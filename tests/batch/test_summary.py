@@ -54,6 +54,12 @@ def test_the_worst_come_first():
     assert said["free"] == "registered, probability 0.700"
 
 
+def test_a_pose_that_is_wrong_beyond_measure_comes_first():
+    lost = line("lost", found=False, probability=0.9)
+    found = summarize([*LINES, lost], [], {})
+    assert found.worst[0] == ("lost", "registered, but wrong beyond measure")
+
+
 def test_a_batch_without_any_truth_or_time_says_nothing_of_them():
     found = summarize([line("one", fitness=0.4)], [], {})
     assert (found.recall, found.rre_degrees) == (None, None)

@@ -164,6 +164,55 @@ def test_a_cloud_that_spoils_a_slice_fails_its_own_pairs_alone(batch, project, t
     assert states["c0__c1"] in ("registered", "refused")
 
 
+def test_files_of_pairs_that_are_lost_or_damaged_are_written_again(batch, project, tmp_path):
+    assert batch(project.table).exit_code == 0
+    files = sorted((tmp_path / "out" / "pairs").iterdir())
+    before = [file.read_bytes() for file in files]
+    files[0].unlink()
+    files[1].write_text("junk")
+    again = batch(project.table)
+    assert "3 pairs were finished before" in again.stderr
+    assert [file.read_bytes() for file in files] == before
+
+
+def test_a_cloud_of_finished_pairs_may_be_gone(batch, project, tmp_path):
+    (tmp_path / "a.ply").write_bytes((project.folder / "c0.ply").read_bytes())
+    table = write_table(tmp_path / "pairs.csv", [{"source": "a.ply", "target": project.folder / "c1.ply"}])
+    assert batch(table).exit_code == 0
+    before = (tmp_path / "out" / "results.csv").read_bytes()
+    (tmp_path / "a.ply").unlink()
+    again = batch(table)
+    assert again.exit_code == 0
+    assert "no such file" not in again.stderr
+    assert (tmp_path / "out" / "results.csv").read_bytes() == before
+
+
+def test_a_truth_beyond_all_bounds_is_no_error(batch, room, tmp_path):
+    assert batch(room_table(room, tmp_path, truth="1 0 0 1e308 0 1 0 0 0 0 1 0 0 0 0 1")).exit_code == 0
+    assert lines_of(tmp_path / "out")[0]["found"] == "false"
+
+
+def test_a_pattern_takes_clouds_alone(batch, project, tmp_path):
+    assert batch("--all-pairs", project.folder / "*").exit_code == 0  # beside a table
+    assert len(lines_of(tmp_path / "out")) == 3
+    for name in ("one.csv", "other.csv"):
+        (tmp_path / name).write_text("no cloud")
+    refused = batch("--all-pairs", tmp_path / "*.csv")
+    assert refused.exit_code == 2
+    assert "at least two clouds" in refused.stderr
+
+
+def test_a_cluster_that_does_not_answer_is_said_soon_and_leaves_no_folder(run, project, tmp_path):
+    refused = run("batch", project.table, "--out", tmp_path / "out", "--engine", "ray", "--ray-address", "127.0.0.1:1")
+    assert refused.exit_code == 2
+    assert "127.0.0.1:1" in refused.stderr
+    both = run(
+        "batch", project.table, "--out", tmp_path / "out", "--engine", "ray", "--ray-address", "auto", "--workers", "2"
+    )
+    assert "workers" in both.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_damaged_database_is_named(batch, project, tmp_path):
     assert batch(project.table).exit_code == 0
     (tmp_path / "out" / "batch.sqlite").write_bytes(b"no database" * 1000)
@@ -391,9 +440,11 @@ def test_what_does_not_fit_together_is_refused(batch, run, project, tmp_path):
     for words, named in [
         ((), "PAIRS"),
         ((project.table, "--all-pairs", "*.ply"), "PAIRS"),
-        (("--all-pairs", tmp_path / "*.ply"), "at least two files"),
+        (("--all-pairs", tmp_path / "*.ply"), "at least two clouds"),
         ((project.table, "--ray-address", "auto"), "--engine ray"),
         ((project.table, "--viewpoint", "there"), "viewpoint"),
+        ((project.table, "--cache", tmp_path / "no" / "such"), "--cache"),
+        ((project.table, "--recall-meters", "inf"), "--recall-meters"),
         ((tmp_path / "nothing.csv",), "nothing.csv"),
     ]:
         refused = batch(*words)

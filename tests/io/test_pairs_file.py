@@ -155,9 +155,14 @@ def test_root_and_absolute_paths(tmp_path):
 
 
 def test_names_are_made_unique_in_the_order_of_the_rows(tmp_path):
-    table = "source,target,name\na/x.ply,y.ply,\nb/x.ply,y.ply,\nc,d,x__y\ne,f,x__y__2\ng,h,hall\ni,j,hall\n"
+    table = "source,target,name\ne,f,x__y__2\na/x.ply,y.ply,\nb/x.ply,y.ply,\ng,h,hall\n"
     names = [row.name for row in read_pairs_file(made(tmp_path, table))]
-    assert names == ["x__y", "x__y__2", "x__y__3", "x__y__2__2", "hall", "hall__2"]
+    assert names == ["x__y__2", "x__y", "x__y__3", "hall"]
+
+
+def test_a_name_that_is_given_twice_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="line 3: expected a name that no pair before it has"):
+        read_pairs_file(made(tmp_path, "source,target,name\na,b,hall\nc,d,hall\n"))
 
 
 def test_both_directions_of_a_pair_are_two_pairs(tmp_path):

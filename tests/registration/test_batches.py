@@ -1,6 +1,8 @@
 """Batches: every distinct cloud described once, slices of any budget, halves that are the whole; all to the bit."""
 
 from dataclasses import replace
+from itertools import accumulate
+from typing import NamedTuple
 
 import pytest
 import torch
@@ -22,12 +24,27 @@ ROOM = replace(
     color_radius=0.8,
     ransac=tr.RansacOptions(inlier_threshold=0.2, hypotheses=20_000),
 )
+PER_PAIR = (
+    *("T_target_source", "fitness", "inlier_rmse", "success"),
+    *("probability", "overlap", "information", "strength", "runner_up", "margin"),
+)
+LISTED = ("reason", "options", "notes", "candidates", "stages")
 SIZES = (900, 300, 1400, 200, 700)
 
 
 def mixed_batch():
     pairs = [room_pair(size, seed=size) for size in SIZES]
     return tr.Clouds.pack([pair.source for pair in pairs]), tr.Clouds.pack([pair.target for pair in pairs])
+
+
+class _Offsets(NamedTuple):
+    offsets: list[int]
+
+
+def thinned(result):
+    """Where each pair's points begin among those that were matched, of both sides."""
+    counts = [[stage.points[side] for stage in result.stages] for side in range(2)]
+    return [_Offsets([0, *accumulate(side)]) for side in counts]
 
 
 @pytest.fixture
@@ -56,10 +73,18 @@ def test_a_budget_of_any_size_gives_the_same_bits(options):
     rows = whole.correspondences
     for b, (begin, end) in enumerate(zip(rows.offsets[:-1].tolist(), rows.offsets[1:].tolist(), strict=True)):
         alone = tr.register(source.select(b), target.select(b), options)
-        assert same_bits(alone.T_target_source[0], whole.T_target_source[b])
+        for name in PER_PAIR:
+            value = getattr(alone, name)
+            assert value is None or same_bits(value[0], getattr(whole, name)[b]), name
+        for name in LISTED:
+            assert same_bits(getattr(alone, name), getattr(whole, name)[b : b + 1]), name
+        assert same_bits(alone.inliers, whole.inliers[begin:end])
         assert same_bits(alone.correspondences.score, rows.score[begin:end])
-        assert alone.candidates == () or len(alone.candidates[0]) == len(whole.candidates[b])
-        assert alone.stages[0] == whole.stages[b]
+        first = [clouds.offsets[b] for clouds in thinned(whole)]
+        assert torch.equal(alone.correspondences.source + first[0], rows.source[begin:end])
+        assert torch.equal(alone.correspondences.target + first[1], rows.target[begin:end])
+        for counts, own in zip(whole.hypotheses, alone.hypotheses, strict=True):
+            assert torch.equal(counts[b : b + 1], own)
 
 
 @pytest.mark.parametrize("options", [None, ROOM], ids=["derived", "given"])
@@ -110,6 +135,19 @@ def test_a_pair_that_is_refused_leaves_its_clouds_to_other_pairs():
     assert [stage.points for stage in result.stages[:2]] == [(0, 0)] * 2
     alone = tr.register(good.source, good.target, ROOM)
     assert same_bits(result.T_target_source[2:], alone.T_target_source)
+
+
+def test_the_second_half_says_what_it_lacks():
+    pair = room_pair(200)
+    bare = replace(ROOM, color=(), color_weights=())
+    source, target = (describe_clouds(cloud, bare) for cloud in pair[:2])
+    with refuses("source", "pcfh"):
+        register_described(source, target, [ROOM])
+    two = DescribedClouds.pack([source, source])
+    with refuses("options", "lengths only"):
+        register_described(two, two, [bare, replace(bare, match_neighbors=2)])
+    with refuses("options", "one per pair"):
+        register_described(source, target, [])
 
 
 def test_hue_equalized_jointly_cannot_be_described_alone():

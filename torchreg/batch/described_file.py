@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-import os
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -18,7 +18,8 @@ from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features, RegistrationOptions
 from torchreg.version import __version__
 
-_FORMAT = 1
+_FORMAT = 2
+_CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results unseen
 
 
 def described_name(digest: str, options: RegistrationOptions, device: str) -> str:
@@ -53,19 +54,27 @@ def write_described(path: Path, described: DescribedClouds) -> None:
         "spacing": list(described.spacing),
         "facts": [list(facts) for facts in described.facts],
     }
+    held = io.BytesIO()
+    torch.save(content, held)
     with atomic_write(path) as file:
-        torch.save(content, file)
+        file.write(_checksum(held.getvalue()))
+        file.write(held.getvalue())
 
 
 def read_described(path: Path) -> DescribedClouds | None:
     """Read one described cloud; ``None`` where the file is missing or damaged, so that it is to be made again."""
-    if not os.path.exists(path):
-        return None
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        return _described(content)
-    except Exception:  # whatever a damaged file leads to
+        content = path.read_bytes()
+    except OSError:
         return None
+    checksum, held = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+    if _checksum(held) != checksum:
+        return None
+    return _described(torch.load(io.BytesIO(held), map_location="cpu", weights_only=True))
+
+
+def _checksum(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
 
 
 def _described(content: dict[str, Any]) -> DescribedClouds:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.connection
+import multiprocessing.forkserver
 import os
+import signal
 import threading
 import time
 import warnings
@@ -153,6 +155,13 @@ def _context() -> Any:  # noqa: ANN401
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["torchreg.batch.preload"])
+    # An interrupt goes to all processes of a terminal: this one ends the others, which are to keep still.
+    if threading.current_thread() is threading.main_thread():
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            multiprocessing.forkserver.ensure_running()
+        finally:
+            signal.signal(signal.SIGINT, before)
     return context
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchreg.batch.settings import PairSettings
 from torchreg.errors import expect
-from torchreg.io import read_pairs_file
+from torchreg.io import CLOUD_SUFFIXES, read_pairs_file
 
 _LONGEST = 120  # characters of a file's name that are taken from a pair's
 
@@ -49,7 +49,7 @@ class Pair:
     def file_name(self) -> str:
         """A name for the pair's own file, different for every pair of the batch."""
         plain = re.sub(r"[^A-Za-z0-9_.+-]", "_", self.name)[:_LONGEST].lstrip(".")
-        if plain == self.name:
+        if plain == self.name and not re.search(r"-[0-9a-f]{8}$", plain):  # which is what others end in
             return plain
         return f"{plain}-{hashlib.blake2b(self.name.encode(), digest_size=4).hexdigest()}"
 
@@ -83,10 +83,19 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
     """Every two of the files that a pattern names, each pair once, the earlier name as the source.
 
     Raises:
-        ValueError: fewer than two files.
+        ValueError: fewer than two clouds; other files do not count.
     """
-    files = sorted(file for file in glob.glob(pattern, recursive=True) if os.path.isfile(file))
-    expect(len(files) >= 2, "all pairs", "a pattern that names at least two files", f"{pattern!r}, which names {files}")
+    named = [file for file in glob.glob(pattern, recursive=True) if Path(file).suffix.lower() in CLOUD_SUFFIXES]
+    files = sorted(file for file in named if os.path.isfile(file))
+    for file in files:
+        legal = file.isprintable() and not any("\ud800" <= letter <= "\udfff" for letter in file)
+        expect(legal, "all pairs", "file names that can be written down", file)
+    expect(
+        len(files) >= 2,
+        "all pairs",
+        f"a pattern that names at least two clouds ({', '.join(CLOUD_SUFFIXES)})",
+        f"{pattern!r}, which names {files}",
+    )
     names = _short_names(files)
     return tuple(
         Pair(

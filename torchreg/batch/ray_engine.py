@@ -7,6 +7,7 @@ over than the workers can soon take, so that thousands of pairs never sit in mem
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from torchreg.batch.outcome import Outcome
 from torchreg.errors import at_least, expect
 
 _RETRIES = 3
+_PATIENCE = 5.0  # seconds
 _AHEAD = 2  # tasks in the scheduler's hands, for every worker
 
 
@@ -38,6 +40,8 @@ class RayEngine:
             import ray
         except ImportError:
             raise ValueError('engine: expected Ray, which pip install "torchreg-pointcloud[ray]" brings') from None
+        if address is not None:
+            _expect_answer(address)
         self._ray, self._own_device = ray, device
         self._started = not ray.is_initialized()
         if self._started:
@@ -91,3 +95,18 @@ class RayEngine:
             first = str(error).strip().splitlines()[0]
             return Outcome(None, f"its Ray worker died {_RETRIES + 1} times: {first}", expected=False)
         return outcome
+
+
+def _expect_answer(address: str) -> None:
+    """See within seconds whether anything listens at HOST:PORT; Ray itself asks for minutes.
+
+    Raises:
+        ValueError: nothing does.
+    """
+    host, mark, port = address.removeprefix("ray://").rpartition(":")
+    if not mark or not port.isdigit():  # such as "auto", which Ray looks up
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+    except (OSError, OverflowError) as error:
+        raise ValueError(f"address: expected a cluster that answers, got {address!r}: {error}") from None

@@ -31,7 +31,7 @@ from torchreg.io.atomic import atomic_write, remove_remains
 _TABLES = """
 CREATE TABLE IF NOT EXISTS pairs (
     name TEXT PRIMARY KEY, state TEXT NOT NULL, said TEXT NOT NULL, options TEXT NOT NULL, digests TEXT NOT NULL,
-    line TEXT NOT NULL, seconds TEXT NOT NULL, finished TEXT NOT NULL, runs INTEGER NOT NULL
+    line TEXT NOT NULL, seconds TEXT NOT NULL, record TEXT, finished TEXT NOT NULL, runs INTEGER NOT NULL
 );
 CREATE TABLE IF NOT EXISTS clouds (
     source TEXT NOT NULL, asked TEXT NOT NULL, stamp TEXT NOT NULL, look TEXT NOT NULL,
@@ -41,10 +41,14 @@ CREATE TABLE IF NOT EXISTS work (stage TEXT PRIMARY KEY, seconds REAL NOT NULL);
 """
 
 _FINISH = """
-INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UPDATE SET
+INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UPDATE SET
     state = excluded.state, said = excluded.said, options = excluded.options, digests = excluded.digests,
-    line = excluded.line, seconds = excluded.seconds, finished = excluded.finished, runs = runs + 1
+    line = excluded.line, seconds = excluded.seconds, record = excluded.record,
+    finished = excluded.finished, runs = runs + 1
 """
+
+
+_FINISHED = "SELECT name, state, said, options, digests, line, seconds FROM pairs"
 
 
 class Finished:
@@ -135,7 +139,7 @@ class Store:
 
     def finished(self) -> dict[str, Finished]:
         """The pairs that have a row, by name."""
-        return {row["name"]: Finished(row) for row in self._rows("SELECT * FROM pairs")}
+        return {row["name"]: Finished(row) for row in self._rows(_FINISHED)}
 
     def count_finished(self) -> int:
         """How many pairs have a row."""
@@ -148,12 +152,8 @@ class Store:
         Raises:
             OSError: it cannot be written; rows committed before stand.
         """
-        record = self.folder / "pairs" / f"{pair.file_name}.json"
-        if row.record is None:
-            record.unlink(missing_ok=True)  # of an earlier run, when the clouds were others
-        else:
-            with atomic_write(record) as file:
-                file.write((json.dumps(row.record, indent=2, allow_nan=False) + "\n").encode())
+        record = None if row.record is None else json.dumps(row.record, indent=2, allow_nan=False) + "\n"
+        self._write_record(pair, record)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         values = (
             row.name,
@@ -161,9 +161,27 @@ class Store:
             pair_text(pair),
             options,
             *map(json.dumps, (row.digests, row.table, row.seconds)),
+            record,
             now,
         )
         self._commit(_FINISH, [values])
+
+    def mend_records(self, pairs: Sequence[Pair]) -> None:
+        """Write the files of finished pairs again that are missing or have been changed."""
+        rows = self._rows("SELECT name, record FROM pairs")
+        records = {row["name"]: row["record"] for row in rows}
+        for pair in pairs:
+            if pair.name in records:
+                self._write_record(pair, records[pair.name])
+
+    def _write_record(self, pair: Pair, record: str | None) -> None:
+        """A pair's file, where it is not as it should be."""
+        path = self.folder / "pairs" / f"{pair.file_name}.json"
+        if record is None:
+            path.unlink(missing_ok=True)  # of an earlier run, when the clouds were others
+        elif not path.is_file() or path.read_bytes() != record.encode():
+            with atomic_write(path) as file:
+                file.write(record.encode())
 
     def looks(self) -> dict[tuple[CloudSource, float | None], tuple[str, Look]]:
         """What was seen of clouds: the stamp of the file then, and the look."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from statistics import median
@@ -93,12 +94,14 @@ def _badness(line: Mapping[str, Any]) -> tuple[int, float]:
     """What the worst pairs have least of."""
     certainty = line["probability"] if line["probability"] is not None else (line["fitness"] or 0.0)
     if line["success"] and line["found"] is False:
-        return 0, -(line["rte_meters"] or 0.0)
+        return 0, -(math.inf if line["rte_meters"] is None else line["rte_meters"])
     return [BROKEN, UNREADABLE, REFUSED, REGISTERED].index(line["state"]) + 1, certainty
 
 
 def _trouble(line: Mapping[str, Any]) -> str:
     if line["success"] and line["found"] is False:
+        if line["rre_degrees"] is None or line["rte_meters"] is None:
+            return "registered, but wrong beyond measure"
         return f"registered, but wrong by {line['rre_degrees']:.3g} degrees and {line['rte_meters']:.3g} m"
     if not line["success"]:
         right = " (its best pose is right)" if line["found"] else ""

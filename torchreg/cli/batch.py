@@ -17,7 +17,7 @@ from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output
 from torchreg.cli.overrides import Overrides
-from torchreg.errors import expect
+from torchreg.errors import expect, positive
 
 if TYPE_CHECKING:
     from torchreg.batch import Bounds, Pair, PairSettings, Store
@@ -34,6 +34,12 @@ class Work:
     cache: own.Cache = None
     max_bytes: own.MaxBytes = None
     device: opt.DeviceName = opt.Device.cpu
+
+    def check(self) -> None:
+        """See before anything begins that the folder of descriptions can be one."""
+        if self.cache is not None:
+            fits = self.cache.absolute().parent.is_dir() and (not self.cache.exists() or self.cache.is_dir())
+            expect(fits, "--cache", "a folder, or a name for one in a folder that exists", str(self.cache))
 
     def start(self) -> Engine:
         """The engine that does the work."""
@@ -80,7 +86,8 @@ def batch(
     from torchreg.batch import Bounds, PairSettings, Store
     from torchreg.batch.described_file import computing_versions
 
-    expect((pairs is None) != (all_pairs is None), "PAIRS", "a pairs file or --all-pairs, one of them", pairs)
+    one_of_both = (pairs is None) != (all_pairs is None)
+    expect(one_of_both, "PAIRS", "a pairs file or --all-pairs", "neither" if pairs is None else "both")
     use(work.device, None)
     settings = PairSettings(
         scale=scale.value,
@@ -92,6 +99,10 @@ def batch(
         points=points,
         viewpoint=viewpoint,
     )
+    if recall_meters is not None:
+        positive(recall_meters, "--recall-meters")
+    positive(recall_degrees, "--recall-degrees")
+    work.check()
     listed = _listed(pairs, all_pairs, settings)
     bounds = Bounds(recall_degrees, recall_meters)
     made = {**computing_versions(), "device": work.device.value}
@@ -114,13 +125,15 @@ def _listed(pairs: Path | None, all_pairs: str | None, settings: PairSettings) -
 def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, bounds: Bounds) -> None:
     """The batch itself, and what is to be said of it on the way."""
     from torchreg.batch import run
+    from torchreg.batch.rows import RETRIED
     from torchreg.io.atomic import remove_remains
 
     described = (store.folder / "described" if work.cache is None else work.cache).absolute()
-    expect(described.parent.is_dir(), "--cache", "a folder in one that exists", str(described))
     described.mkdir(exist_ok=True)
     remove_remains(described, older_than=3600.0)
-    missing = sorted({path for pair in pairs for path in (pair.source, pair.target) if not Path(path).exists()})
+    finished = {name for name, row in store.finished().items() if row.state not in RETRIED}
+    ends = {path for pair in pairs if pair.name not in finished for path in (pair.source, pair.target)}
+    missing = sorted(path for path in ends if not Path(path).exists())
     for path in missing[:20]:
         complain(f"{path}: no such file; its pairs fail")
     if len(missing) > 20:
@@ -131,8 +144,9 @@ def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, boun
                 pairs, store, engine, described=described, bounds=bounds, max_bytes=work.max_bytes, report=report
             )
         except KeyboardInterrupt:
-            finished = store.count_finished()
-            complain(f"{finished:,} of {len(pairs):,} pairs are done with; the same command goes on from there")
+            complain(
+                f"{store.count_finished():,} of {len(pairs):,} pairs are done with; the same command goes on from there"
+            )
             raise
     if done.before:
         complain(f"{done.before:,} pairs were finished before")
@@ -151,6 +165,7 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     from torchreg.batch.summary_table import summary_table
     from torchreg.io.atomic import atomic_write
 
+    store.mend_records(pairs)
     rows = store.finished()
     lines = [rows[pair.name].line for pair in pairs]
     seconds = [rows[pair.name].seconds for pair in pairs]

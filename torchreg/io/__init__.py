@@ -2,12 +2,13 @@
 
 from torchreg.io.open3d_clouds import from_open3d, to_open3d
 from torchreg.io.pairs_file import PairRow, read_pairs_file
-from torchreg.io.read import CloudFile, read_cloud, read_cloud_report
+from torchreg.io.read import CLOUD_SUFFIXES, CloudFile, read_cloud, read_cloud_report
 from torchreg.io.result_json import result_to_dict, write_result_json
 from torchreg.io.transform_text import read_transform_text, write_transform_text
 from torchreg.io.write import write_cloud
 
 __all__ = [
+    "CLOUD_SUFFIXES",
     "CloudFile",
     "PairRow",
     "from_open3d",

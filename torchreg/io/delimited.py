@@ -33,7 +33,7 @@ def read_delimited(path: str | os.PathLike[str], needed: tuple[str, ...]) -> tup
     The first line that counts is the header, and it decides on the separator: the first of the three under
     which it has all needed columns. Blank lines and lines that start with ``#`` do not count. Text is UTF-8,
     with or without its byte order mark; lines end in any of the three usual ways; cells may be quoted with
-    ``"`` and then hold separators and line ends.
+    ``"`` and then hold separators and, below the header, line ends.
 
     Args:
         path: the file.
@@ -90,11 +90,18 @@ def _counts(line: str) -> bool:
 def _columns(header: str, where: str, needed: tuple[str, ...]) -> tuple[str, list[str]]:
     """The separator and the names of the columns."""
     names: dict[str, list[str]] = {}
+    broken = ""
     for mark in _DELIMITERS:
-        names[mark] = [cell.strip().lower() for cell in next(csv.reader([header], delimiter=mark))]
+        try:
+            cells = next(csv.reader([header], delimiter=mark, strict=True))
+        except csv.Error as error:
+            broken, cells = str(error), []  # quotes may fit another separator
+        names[mark] = [cell.strip().lower() for cell in cells]
         if set(needed) <= set(names[mark]):
             break
     else:
+        if not any(names.values()):
+            refuse(where, "a header on one line, in cells without quotes or within a pair of them", broken)
         most = max(names.values(), key=len)
         refuse(where, f"the columns {' and '.join(needed)}", ", ".join(most))
     found = names[mark]

@@ -51,8 +51,8 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     truth is sixteen numbers, row after row, with anything of spaces, commas, semicolons and square brackets
     between them, or else the name of a file that ``read_transform_text`` reads.
 
-    A pair without a name is called by its files, ``SOURCE__TARGET`` without folders and suffixes. Where a
-    name comes again, the later pair gets ``__2``, ``__3``, ... behind it: the first number that is free.
+    A pair without a name is called by its files, ``SOURCE__TARGET`` without folders and suffixes. Where that
+    is taken, ``__2``, ``__3``, ... comes behind it: the first number that is free.
 
     Args:
         path: the table.
@@ -102,7 +102,7 @@ def _pair(row: TableRow, base: Path, names: set[str], where: str) -> PairRow:
     source, target = (base / cells[column] for column in ("source", "target"))
     return PairRow(
         line=row.line,
-        name=_free_name(cells.get("name") or f"{source.stem}__{target.stem}", names),
+        name=_name(cells.get("name", ""), f"{source.stem}__{target.stem}", names, where),
         source=source,
         target=target,
         source_text=cells["source"],
@@ -110,6 +110,15 @@ def _pair(row: TableRow, base: Path, names: set[str], where: str) -> PairRow:
         T_target_source=_truth(cells.get("truth", ""), base, where),
         extra={name: cell for name, cell in cells.items() if name not in _KNOWN and cell != ""},
     )
+
+
+def _name(given: str, otherwise: str, taken: set[str], where: str) -> str:
+    """The name given, which must be free, or one that is made."""
+    if given:
+        require(given not in taken, where, "a name that no pair before it has", excerpt(given))
+        taken.add(given)
+        return given
+    return _free_name(otherwise, taken)
 
 
 def _free_name(wanted: str, taken: set[str]) -> str:

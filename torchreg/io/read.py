@@ -20,6 +20,9 @@ from torchreg.io.ply import read_ply
 from torchreg.io.raw_cloud import RawCloud
 from torchreg.types import Clouds
 
+CLOUD_SUFFIXES = (".ply", ".pcd", ".npz")
+"""What names of clouds end in."""
+
 _READERS: dict[str, Callable[[Path], RawCloud]] = {".ply": read_ply, ".pcd": read_pcd, ".npz": read_npz}
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchreg.descriptors import contrast, fpfh, fuse, pcfh
 from torchreg.descriptors.color import color_values, joint_color_values
+from torchreg.errors import expect
 from torchreg.neighbors import neighbors
 from torchreg.preprocess import estimate_normals, voxel_downsample
 from torchreg.preprocess.downsample import in_morton_order
@@ -90,6 +91,13 @@ def per_point(cloud: Clouds, options: Options, read: Callable[[RegistrationOptio
         return float(values[0])
     counts = torch.tensor([end - begin for begin, end in spans(cloud.offsets)])
     return values.repeat_interleave(counts).to(cloud.device)
+
+
+def expect_alike(options: Options) -> None:
+    """Raise ``ValueError`` where options of one batch differ in more than lengths."""
+    for option in options[1:]:
+        alike = without_lengths(option) == without_lengths(options[0])
+        expect(alike, "options", "options that differ in lengths only within one batch", option)
 
 
 def without_lengths(options: RegistrationOptions) -> RegistrationOptions:

@@ -90,6 +90,23 @@ class DescribedClouds:
             },
         )
 
+    def clone(self) -> DescribedClouds:
+        """A copy in memory of its own."""
+        cloud = self.cloud
+        return replace(
+            self,
+            cloud=replace(
+                cloud,
+                points=cloud.points.clone(),
+                colors=None if cloud.colors is None else cloud.colors.clone(),
+                normals=None if cloud.normals is None else cloud.normals.clone(),
+            ),
+            descriptors={
+                name: replace(item, values=item.values.clone(), valid=item.valid.clone())
+                for name, item in self.descriptors.items()
+            },
+        )
+
     def to(self, device: torch.device | str) -> DescribedClouds:
         """Copy to a device."""
         return replace(

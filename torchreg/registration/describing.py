@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,7 +16,7 @@ from torch import Tensor
 from torchreg.descriptors.color import color_values, joint_color_values
 from torchreg.errors import expect
 from torchreg.hypotheses import one_per_pair
-from torchreg.registration.describe import Options, describe, downsample, oriented, without_lengths
+from torchreg.registration.describe import Options, describe, downsample, expect_alike, oriented
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import facts_of, set_aside, too_wide
 from torchreg.registration.presets import PAPER
@@ -45,9 +46,7 @@ def describe_clouds(
         ValueError: options that differ in more than lengths, or that equalize hue jointly over a pair.
     """
     per_cloud = one_per_pair(options, PAPER, len(clouds))
-    for option in per_cloud[1:]:
-        alike = without_lengths(option) == without_lengths(per_cloud[0])
-        expect(alike, "options", "options that differ in lengths only within one batch", option)
+    expect_alike(per_cloud)
     first = per_cloud[0]
     joint = first.equalization == "joint" and "pcfh" in first.color and clouds.colors is not None
     expect(not joint, "options", "an equalization of each cloud by itself", first.equalization)
@@ -55,13 +54,22 @@ def describe_clouds(
     facts = facts_of(clouds)
     defects = [one.defect or too_wide(one, option.voxel_size) for one, option in zip(facts, per_cloud, strict=True)]
     thin = downsample(set_aside(clouds.detach(), defects), per_cloud)
+    per_cloud = [description_options(option, blocks) for option in per_cloud]
     found = describe_thin(thin, per_cloud, blocks, Stopwatch(), max_bytes=max_bytes)
     return replace(found, facts=facts)
 
 
 def description_options(options: RegistrationOptions, blocks: Sequence[str]) -> RegistrationOptions:
     """The options with everything that leaves descriptions as they are set to one value: equal ones describe alike."""
-    return RegistrationOptions(
+    color: dict[str, Any] = {"color_radius": options.color_radius} if blocks else {}
+    histograms: dict[str, Any] = {
+        "color_bins": options.color_bins,
+        "color_channels": options.color_channels,
+        "equalization": options.equalization,
+        "saturation_weighting": options.saturation_weighting,
+    }
+    return replace(
+        RegistrationOptions(),
         voxel_size=options.voxel_size,
         normal_radius=options.normal_radius,
         normal_max_neighbors=options.normal_max_neighbors,
@@ -69,11 +77,8 @@ def description_options(options: RegistrationOptions, blocks: Sequence[str]) -> 
         feature_max_neighbors=options.feature_max_neighbors,
         color=tuple(blocks),
         color_weights=(1.0,) * len(blocks),
-        color_radius=options.color_radius,
-        color_bins=options.color_bins,
-        color_channels=options.color_channels,
-        equalization=options.equalization,
-        saturation_weighting=options.saturation_weighting,
+        **color,
+        **(histograms if "pcfh" in blocks else {}),
     )
 
 

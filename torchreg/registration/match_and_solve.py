@@ -7,9 +7,10 @@ from dataclasses import replace
 
 from torchreg.errors import expect
 from torchreg.registration.decide import decide
+from torchreg.registration.describe import expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import pair_notes, refusal
-from torchreg.registration.recipes import match, recipes_of, solve
+from torchreg.registration.recipes import blocks_of, match, recipes_of, solve
 from torchreg.registration.stopwatch import Stopwatch
 from torchreg.types import RegistrationOptions, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
@@ -37,17 +38,23 @@ def register_described(
         RegistrationResult; as ``register``'s.
 
     Raises:
-        ValueError: the numbers of clouds or options differ.
+        ValueError: the numbers of clouds or options differ, options differ in more than lengths, or descriptions lack
+            what the options need.
     """
     pairs = len(source)
     expect(len(target) == pairs, "target", f"{pairs} clouds, as the source has", len(target))
     expect(len(options) == pairs, "options", f"one per pair ({pairs})", len(options))
+    expect(pairs > 0, "source", "at least one cloud", pairs)
+    expect_alike(options)
     watch = Stopwatch() if watch is None else watch
     facts = (source.facts, target.facts)
     refused = [refusal(one, other, option) for one, other, option in zip(*facts, options, strict=True)]
     source, target = _without(source, refused), _without(target, refused)
     colored = source.cloud.colors is not None and target.cloud.colors is not None
     recipes = recipes_of(options[0], colored)
+    for name, side in (("source", source), ("target", target)):
+        lacking = [block for block in ("fpfh", *blocks_of(recipes)) if block not in side.descriptors]
+        expect(not lacking, name, f"descriptions with {', '.join(lacking)}", list(side.descriptors))
     sides = (source.descriptors, target.descriptors)
     clouds = (source.cloud, target.cloud)
     matches = [match(*sides, recipe, options[0].ratio) for recipe in recipes]

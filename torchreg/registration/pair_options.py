@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from torchreg.errors import expect
-from torchreg.registration.describe import without_lengths
+from torchreg.registration.describe import expect_alike
 from torchreg.registration.recipes import coarser
-from torchreg.registration.scale import derive_options
+from torchreg.registration.same_clouds import same_clouds
+from torchreg.registration.scale import derive_numbered
 from torchreg.types import Clouds, RegistrationOptions
 
 
@@ -18,14 +19,17 @@ def options_of_pairs(
     options: RegistrationOptions | Sequence[RegistrationOptions] | None,
     effort: str | None,
     solver: str | None,
+    numbers: Sequence[Sequence[int]] | None = None,
 ) -> tuple[RegistrationOptions, ...]:
     """One per pair; derived from the clouds' scale for ``None``, with another effort or solver where one is named.
+
+    ``numbers`` are those of ``same_clouds``, where they are known already.
 
     Raises:
         ValueError: another type or number, or options that differ in more than lengths.
     """
     if options is None:
-        per_pair = derive_options(source, target)
+        per_pair = derive_numbered(source, target, same_clouds([source, target]) if numbers is None else numbers)
     elif isinstance(options, RegistrationOptions):
         per_pair = (options,) * len(source)
     else:
@@ -34,9 +38,7 @@ def options_of_pairs(
         per_pair = tuple(options)
         expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
     per_pair = tuple(changed(option, effort, solver) for option in per_pair)
-    for option in per_pair[1:]:
-        alike = without_lengths(option) == without_lengths(per_pair[0])
-        expect(alike, "options", "options that differ in lengths only within one batch", option)
+    expect_alike(per_pair)
     return per_pair
 
 

@@ -42,8 +42,9 @@ def register(
             in ``PAPER``.
         solver: ``"ransac"`` or ``"compatibility"``; ``None`` takes the options' own.
         seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
-        max_bytes: about the memory to work in, beyond the clouds and the result; ``None`` takes a quarter of what is
-            free. A batch that needs more goes in slices, with the same result; one pair takes what it needs.
+        max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
+            later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
+            with the same result; one pair takes what it needs.
 
     Returns:
         RegistrationResult with the options, notes and times of the run. A pair that cannot be registered has
@@ -66,7 +67,7 @@ def register(
     most = budget(max_bytes, source.device)
     watch = Stopwatch()
     sides = Sides(source.detach(), target.detach())
-    per_pair = options_of_pairs(*sides.usable(), options, effort, solver)
+    per_pair = options_of_pairs(*sides.usable(), options, effort, solver, sides.numbers)
     watch.lap("options")
 
     sides.thin(per_pair, watch)

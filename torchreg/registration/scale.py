@@ -8,6 +8,8 @@ at 10 cm, FPFH at 25 cm and a threshold of 7.5 cm.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -75,8 +77,14 @@ def derive_options(source: Clouds, target: Clouds) -> tuple[RegistrationOptions,
         ValueError: different numbers of clouds.
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
+    return derive_numbered(source, target, same_clouds([source, target]))
+
+
+def derive_numbered(
+    source: Clouds, target: Clouds, numbers: Sequence[Sequence[int]]
+) -> tuple[RegistrationOptions, ...]:
+    """As ``derive_options``, for clouds that are numbered already (``same_clouds``)."""
     colored = source.colors is not None and target.colors is not None
-    numbers = same_clouds([source, target])
     scales: dict[int, CloudScale] = {}
     for clouds, own in zip((source, target), numbers, strict=True):
         for number, cloud in zip(own, clouds.unpack(), strict=True):

@@ -46,6 +46,15 @@ class Sides:
         }
         self._clouds[_NOTHING] = set_aside(self._clouds[self._numbers[0][0]], ["nothing"])
 
+    @property
+    def numbers(self) -> list[list[int]]:
+        """Of the clouds that ``usable`` gives, both sides; equal clouds have equal ones."""
+        refused = self._refused([None] * len(self._given[0]))
+        return [
+            [_NOTHING if reason else number for number, reason in zip(side, refused, strict=True)]
+            for side in self._numbers
+        ]
+
     def usable(self) -> tuple[Clouds, Clouds]:
         """Both sides, those of pairs that cannot be registered without points."""
         refused = self._refused([None] * len(self._given[0]))
@@ -95,7 +104,9 @@ class Sides:
             )
             for side in range(2)
         ]
-        self._described = {entry: item for entry, item in self._described.items() if self._last[entry] >= rows.stop}
+        # what stays is copied out of its batch, whose memory it would hold otherwise
+        later = {entry: item for entry, item in self._described.items() if self._last[entry] >= rows.stop}
+        self._described = {entry: item.clone() if entry in new else item for entry, item in later.items()}
         return sides[0], sides[1]
 
     def _refused(self, options: Sequence[RegistrationOptions | None]) -> list[str]:
