@@ -94,7 +94,8 @@ RayAddress = Annotated[
     typer.Option(
         "--ray-address",
         metavar="ADDRESS",
-        help="A Ray cluster to join (a text such as HOST:PORT, ray://HOST:PORT, or auto); one is started here unless told.",
+        help="A Ray cluster to join (a text such as HOST:PORT, ray://HOST:PORT, or auto); one is started here unless "
+        "told.",
         rich_help_panel=_RUN,
     ),
 ]
