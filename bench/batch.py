@@ -4,9 +4,10 @@
 
 *Mixed*: 64 pairs made of the colored real ones, thinned by voxels to 200 to 20,000 points (evenly in the logarithm);
 lengths derived from each pair. torchreg registers them in one call, Open3D one after another, both with two threads,
-in turn in one process; torchreg batch on two processes, from files. *Found* counts pairs within 15 degrees and 4 inlier thresholds of the truth, trusted or not (torchreg batch: trusted). *Small*:
-256 pairs of 1,000 points of simulated malls in one call, against the loop over single calls. *Memory*: peak of a
-process of its own above what imports and clouds hold. Medians of the runs after a warm-up on some of the pairs.
+in turn in one process; torchreg batch on two processes, from files. *Found* counts pairs within 15 degrees and 4 inlier
+thresholds of the truth, trusted or not (torchreg batch: trusted). *Small*: 256 pairs of 1,000 points of simulated malls
+in one call, against the loop over single calls. *Memory*: peak of a process of its own above what imports and clouds
+hold. Medians of the runs after a warm-up on some of the pairs.
 """
 
 from __future__ import annotations
@@ -219,9 +220,7 @@ def voxel_for(cloud: tr.Clouds, size: int) -> float:
     return high
 
 
-def count_found(
-    result: tr.RegistrationResult, truths: list[Tensor], options: tuple[tr.RegistrationOptions, ...]
-) -> int:
+def count_found(found: Tensor, truths: list[Tensor], options: tuple[tr.RegistrationOptions, ...]) -> int:
     """Pairs within 15 degrees and four inlier thresholds of the truth."""
     T = torch.stack(truths)
     near = tr.metrics.rte(T, found)

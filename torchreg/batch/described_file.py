@@ -56,7 +56,7 @@ def write_described(path: Path, described: DescribedClouds) -> None:
     }
     held = io.BytesIO()
     torch.save(content, held)
-    with atomic_write(path) as file:
+    with atomic_write(path, durable=False) as file:  # what a power cut damages is told by the checksum
         file.write(_checksum(held.getvalue()))
         file.write(held.getvalue())
 

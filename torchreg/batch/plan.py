@@ -49,20 +49,29 @@ def pair_item(
 
 
 def missing_descriptions(items: Sequence[PairItem]) -> list[DescribeItem]:
-    """The descriptions that are not on disk yet, each once."""
+    """The descriptions that are not on disk yet, each once; those of the largest files first."""
     wanted = {side.file: side for item in items for side in (item.source, item.target)}
-    return [side for file, side in wanted.items() if not os.path.exists(file)]
+    missing = [side for file, side in wanted.items() if not os.path.exists(file)]
+    return sorted(missing, key=lambda side: -_bytes(side.source.path))
 
 
 def slices_of(items: Sequence[PairItem], workers: int, max_bytes: int) -> list[Slice]:
-    """Pairs that may go together, in order, as many as the memory of one worker allows."""
+    """Pairs that may go together, as many as the memory of one worker allows; the largest first.
+
+    So the workers end at about the same time.
+    """
     alike: dict[object, list[PairItem]] = {}
     for item in items:
         key = (without_lengths(item.options), item.colored, item.pair.settings.seed)
         alike.setdefault(key, []).append(item)
     most = max(1, min(SLICE_PAIRS, -(-len(items) // (_ROUNDS * workers))))
     room = min(SLICE_BYTES, max_bytes // _HELD)
-    return [part for group in alike.values() for part in _cut(group, most, room)]
+    found = [part for group in alike.values() for part in _cut(group, most, room)]
+    return sorted(found, key=lambda part: -sum(_held(item) for item in part))
+
+
+def _bytes(path: str) -> int:
+    return os.stat(path).st_size if os.path.exists(path) else 0
 
 
 def _cut(items: Sequence[PairItem], most: int, room: int) -> list[Slice]:
@@ -70,7 +79,7 @@ def _cut(items: Sequence[PairItem], most: int, room: int) -> list[Slice]:
     part: list[PairItem] = []
     held = 0
     for item in items:
-        size = sum(_size(side.file) for side in (item.source, item.target))
+        size = _held(item)
         if part and (len(part) == most or held + size > room):
             found.append(tuple(part))
             part, held = [], 0
@@ -79,5 +88,5 @@ def _cut(items: Sequence[PairItem], most: int, room: int) -> list[Slice]:
     return [*found, tuple(part)] if part else found
 
 
-def _size(file: str) -> int:
-    return os.stat(file).st_size if os.path.exists(file) else SLICE_BYTES
+def _held(item: PairItem) -> int:
+    return _bytes(item.source.file) + _bytes(item.target.file)

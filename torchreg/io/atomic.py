@@ -14,11 +14,15 @@ from torchreg.errors import expect
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+def atomic_write(path: str | os.PathLike[str], *, durable: bool = True) -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path`` and put it in its place once all is written.
 
     Whoever looks at ``path`` sees the old content or the new, never a part. An error inside the block
     removes the temporary file; a process that is killed leaves it behind as ``.NAME.XXXXXXXX.tmp``.
+
+    Args:
+        path: the file.
+        durable: whether it is on the disk for good when this ends, so that not even a power cut can empty it.
 
     Raises:
         ValueError: the folder does not exist, or ``path`` is one.
@@ -31,7 +35,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         with part.open("xb") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                os.fsync(file.fileno())
         os.replace(part, target)
     except BaseException:
         part.unlink(missing_ok=True)
