@@ -30,6 +30,7 @@ from torchreg.errors import at_least
 _DEATHS = 3  # that one item may cause, alone
 _PAUSE = 0.5  # seconds until a process that was killed is gone, so that another takes its place
 _AHEAD = 2  # items that are at work or handed over, for every worker
+_GUARD = 'a script that calls this needs its own part below if __name__ == "__main__"'
 _DIED = "the process that worked on it ended unexpectedly each time, out of memory or killed"
 
 
@@ -62,13 +63,14 @@ class LocalEngine:
     def run(self, job: Job, items: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
         """As ``Engine``'s."""
         pending, deaths = dict(enumerate(items)), 0  # deaths of the first of them, alone
+        lost, done = 0, False
         suspects: list[int] = []  # what was perhaps at work when a process died: each goes alone, then all together
         while pending:
             places = suspects or list(pending)
             try:
                 for place, outcome in self._some(job, [(k, items[k]) for k in places], alone=bool(suspects)):
                     del pending[place]
-                    deaths = 0
+                    deaths, done = 0, True
                     yield place, outcome
                 suspects = []
             except (RuntimeError, EOFError, ConnectionError) as error:
@@ -79,8 +81,10 @@ class LocalEngine:
                 deaths += bool(suspects)
                 suspects = [k for k in suspects if k in pending] or list(pending)[: _AHEAD * self.workers]
                 if deaths == _DEATHS:
-                    place, deaths = suspects.pop(0), 0
+                    place, deaths, lost = suspects.pop(0), 0, lost + 1
                     del pending[place]
+                    if lost > 1 and not done:
+                        raise OSError(f"no process can do any work: {_DIED}; {_GUARD} ({error})") from None
                     yield place, Outcome(None, f"{_DIED} ({error})", expected=False)
 
     def _some(self, job: Job, items: list[tuple[int, Any]], *, alone: bool) -> Iterator[tuple[int, Outcome]]:
