@@ -101,6 +101,7 @@ def mixed(repeats: int) -> tuple[dict[str, Any], str]:
     source, target = (tr.Clouds.pack(side) for side in pairs)
     derived = tr.derive_options(source, target)
     plain = {confidence: [geometry(option, confidence) for option in derived] for confidence in (0.999, 1.0)}
+    equal = {str(effort): equal_to_single(source, target, effort) for effort in (None, "fast", "plain")}
     few = list(range(0, MIXED, 8))
     tr.register(source.select(few), target.select(few))
     tr.reference.open3d.register(source.select(few), target.select(few), [plain[0.999][b] for b in few])
@@ -133,7 +134,6 @@ def mixed(repeats: int) -> tuple[dict[str, Any], str]:
         own = median(spent)
         ratios = [f"{other / own:.1f}" for other in (early, late)]
         rows.append([name.strip(), spread(spent), f"{MIXED / own:.2f}", *ratios, str(found[name])])
-    equal = {str(effort): equal_to_single(source, target, effort) for effort in (None, "fast", "plain")}
     content = {"sizes": [source.lengths, target.lengths], "seconds": seconds, "found": found, "equal": equal}
     sizes = [*source.lengths, *target.lengths]
     head = [f"{MIXED} pairs, {min(sizes):,} to {max(sizes):,} points", "seconds", "pairs a second"]
@@ -290,9 +290,11 @@ def equal_to_single(source: tr.Clouds, target: tr.Clouds, effort: str | None) ->
             (alone.T_target_source[0], together.T_target_source[b]),
             (alone.inliers, together.inliers[begin:end]),
             (alone.correspondences.score, together.correspondences.score[begin:end]),
-            (alone.probability, together.probability[b : b + 1]),
-            (alone.information[0], together.information[b]),
+            (alone.fitness, together.fitness[b : b + 1]),
         ]
+        if together.probability is not None and together.information is not None:
+            pieces.append((alone.probability, together.probability[b : b + 1]))
+            pieces.append((alone.information[0], together.information[b]))
         if not all(same(one, other) for one, other in pieces) or alone.reason[0] != together.reason[b]:
             return False
     return True
