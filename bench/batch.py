@@ -51,7 +51,8 @@ before = status('VmRSS')
 print(json.dumps(status('VmHWM') - before))
 """
 MILLION = """
-pair = tr.datasets.mall(seed=0, angular_step=0.12)
+from dataclasses import replace
+pair = tr.datasets.mall(seed=0, angular_step=0.2)
 clouds = [tr.random_downsample(cloud, 1_000_000) for cloud in (pair.source, pair.target)]
 assert all(len(cloud.points) == 1_000_000 for cloud in clouds)
 del pair
@@ -64,7 +65,10 @@ def cloud(seed, station):
 source, target = (tr.Clouds.pack([cloud(seed, station) for seed in range(256)]) for station in range(2))
 """
 PEAKS = {
-    "one pair of 1,000,000 points, default": (MILLION, "tr.register(*clouds)"),
+    "one pair of 1,000,000 points a cloud, voxels of 0.1 m": (
+        MILLION,
+        "tr.register(*clouds, replace(scaled_options(0.1), voxel_size=0.1))",
+    ),
     "describing 1,000,000 points as they are (100 neighbors, FPFH and color)": (
         MILLION,
         "describe_clouds(clouds[0], scaled_options(float(tr.spacing(clouds[0]))))",

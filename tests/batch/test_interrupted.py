@@ -56,7 +56,8 @@ def assert_equal_batches(broken, whole, pairs):
     ("clouds", "pairs", "kills", "words"),
     [
         (6, 15, 3, ("--workers", "1")),
-        pytest.param(21, 200, 20, (), marks=pytest.mark.slow),
+        # slices of a few pairs, so that there is something to kill twenty times
+        pytest.param(21, 200, 20, ("--max-bytes", "4000000"), marks=pytest.mark.slow),
     ],
 )
 def test_a_batch_killed_again_and_again_ends_as_an_unbroken_one(tmp_path, clouds, pairs, kills, words):
