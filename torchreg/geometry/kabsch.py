@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.geometry.derivatives import derivative_wanted
+from torchreg.geometry.kabsch_gradient import with_gradient
 from torchreg.geometry.se3 import apply_rotation, rigid
 
 
@@ -25,7 +27,9 @@ def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> Ten
     Returns:
         T_target_source (..., 4, 4) of the dtype of ``source``, with det R = +1 always. Where the points leave
         the rotation open (collinear, coincident, fewer than 3, no weight at all) one of the best rotations is
-        returned. Gradients flow where the singular values are distinct.
+        returned. Gradients flow to all inputs, twice if wanted, and are exact wherever the best rotation is
+        unique: planar and mirrored points and equal singular values included. They are finite everywhere: a turn
+        that the points leave open gets none. The value is the same with and without gradients.
 
     Raises:
         ValueError: shapes do not fit.
@@ -42,7 +46,8 @@ def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> Ten
         weights = torch.ones_like(source[..., 0])
     expect(weights.shape == source.shape[:-1], "weights", f"{tuple(source.shape[:-1])}", weights)
     total = weights.sum(dim=-1, keepdim=True)
-    share = (weights / torch.where(total > 0, total, torch.ones_like(total)))[..., None]  # (..., M, 1)
+    some = total > 0
+    share = torch.where(some, weights / torch.where(some, total, 1), 0)[..., None]  # (..., M, 1)
     source_mean, target_mean = (share * source).sum(dim=-2), (share * target).sum(dim=-2)
     spread = (share * (source - source_mean[..., None, :])).transpose(-1, -2)  # (..., 3, M)
     covariance = spread @ (target - target_mean[..., None, :])
@@ -51,9 +56,11 @@ def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> Ten
 
 def from_moments(source_mean: Tensor, target_mean: Tensor, covariance: Tensor) -> Tensor:
     """The transform (..., 4, 4) from means (..., 3) and covariance sum_i w_i p_i q_i^T (..., 3, 3)."""
-    u, _, vh = torch.linalg.svd(covariance)
+    u, singular, vh = torch.linalg.svd(covariance.detach())
     v, ut = vh.transpose(-1, -2), u.transpose(-1, -2)
     sign = torch.det(v @ ut).sign()
     flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)  # (..., 3)
     rotation = (v * flip[..., None, :]) @ ut
+    if derivative_wanted(covariance):
+        rotation = with_gradient(rotation, covariance, v, singular * flip)
     return rigid(rotation, target_mean - apply_rotation(rotation, source_mean))

@@ -11,10 +11,13 @@ from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import expect
 from torchreg.geometry.chunks import row_chunks, stable_sum
+from torchreg.geometry.derivatives import derivative_wanted
 from torchreg.geometry.eigen import symmetric_eigen
+from torchreg.geometry.eigen_gradient import least_eigenvector
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 
@@ -31,7 +34,13 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
 
     Returns:
         The clouds with ``normals`` set. With fewer than 3 points in its support, or points all in one place, a
-        point faces the viewpoint. Computed in float64; the same bits in any batch. No gradients.
+        point faces the viewpoint. Computed in float64; the same bits in any batch, with and without gradients.
+
+        Gradients flow to the points where they ask for it, and to the viewpoint where a normal is its direction.
+        They are those of the least eigenvector with the neighborhood and the sign held fixed, exact to second order
+        where the least eigenvalue stands alone; directions that equal eigenvalues leave open get none, so that
+        coincident and collinear points have finite gradients. Chunks are recomputed on the way back: memory stays
+        that of one chunk.
 
     Raises:
         ValueError: shapes do not fit.
@@ -41,18 +50,35 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
         expect(viewpoint.shape in ((3,), (len(cloud), 3)), "viewpoint", f"(3,) or ({len(cloud)}, 3)", viewpoint)
         viewpoint = viewpoint.expand(len(cloud), 3)
     towards = _facing(cloud, cloud.viewpoint if viewpoint is None else viewpoint)
-    normals = torch.empty_like(cloud.points)
-    x, y, z = (column.contiguous() for column in cloud.points.unbind(1))
-    for rows in row_chunks(len(cloud.points), near.max_neighbors):
-        covariance, count = _covariance(x, y, z, near, rows)
-        _, vectors = symmetric_eigen(covariance)
-        normal = vectors[..., 0]  # (r, 3): least spread
-        spread = torch.diagonal(covariance, dim1=-2, dim2=-1).sum(dim=-1)
-        flat = ((count >= 3) & (spread > 0))[:, None]
-        normal = torch.where(flat, normal, unit(towards[rows]))
-        facing = (normal * towards[rows]).sum(dim=1, keepdim=True)
-        normals[rows] = torch.where(facing < 0, -normal, normal).to(normals.dtype)
-    return replace(cloud, normals=normals)
+    columns = [column.contiguous() for column in cloud.points.unbind(1)]
+    chunks = list(row_chunks(len(cloud.points), near.max_neighbors))
+    if not derivative_wanted(cloud.points, towards):
+        normals = torch.empty_like(cloud.points)
+        for rows in chunks:
+            normals[rows] = _oriented(*columns, towards[rows], near, rows)
+    elif len(chunks) == 1:
+        normals = _oriented(*columns, towards, near, chunks[0])
+    else:
+        parts = [
+            checkpoint(_oriented, *columns, towards[rows], near, rows, use_reentrant=False, preserve_rng_state=False)
+            for rows in chunks
+        ]
+        normals = torch.cat(parts) if parts else cloud.points
+    return replace(cloud, normals=normals.to(cloud.points.dtype))
+
+
+def _oriented(x: Tensor, y: Tensor, z: Tensor, towards: Tensor, near: Neighborhoods, rows: slice) -> Tensor:
+    """Normals (r, 3) float64 of some rows, turned to face ``towards`` (r, 3)."""
+    covariance, count = _covariance(x, y, z, near, rows)
+    values, vectors = symmetric_eigen(covariance)
+    normal = vectors[..., 0]  # (r, 3): least spread
+    if derivative_wanted(covariance):
+        normal = least_eigenvector(covariance, values, vectors)
+    spread = torch.diagonal(covariance, dim1=-2, dim2=-1).sum(dim=-1)
+    flat = ((count >= 3) & (spread > 0))[:, None]
+    normal = torch.where(flat, normal, unit(towards))
+    facing = (normal * towards).sum(dim=1, keepdim=True)
+    return torch.where(facing < 0, -normal, normal)
 
 
 def unit(vectors: Tensor) -> Tensor:

@@ -1,0 +1,21 @@
+"""Whether anybody may ask for a derivative, so that what only serves it is left out where nobody does."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor
+from torch.autograd import forward_ad
+
+
+def derivative_wanted(*values: Tensor) -> bool:
+    """Whether a derivative of what is made of these tensors may be asked for, backward or forward.
+
+    Inside ``torch.func`` transforms the answer is yes: a tensor mapped over by ``vmap`` does not know that it is
+    differentiated outside of it.
+    """
+    if torch.is_grad_enabled() and any(value.requires_grad for value in values):
+        return True
+    if torch.compiler.is_compiling():  # which traces backward derivatives only
+        return False
+    return any(is_functorch_wrapped_tensor(value) or forward_ad.unpack_dual(value).tangent is not None for value in values)
