@@ -18,4 +18,6 @@ def derivative_wanted(*values: Tensor) -> bool:
         return True
     if torch.compiler.is_compiling():  # which traces backward derivatives only
         return False
-    return any(is_functorch_wrapped_tensor(value) or forward_ad.unpack_dual(value).tangent is not None for value in values)
+    return any(
+        is_functorch_wrapped_tensor(value) or forward_ad.unpack_dual(value).tangent is not None for value in values
+    )

@@ -50,17 +50,17 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
         expect(viewpoint.shape in ((3,), (len(cloud), 3)), "viewpoint", f"(3,) or ({len(cloud)}, 3)", viewpoint)
         viewpoint = viewpoint.expand(len(cloud), 3)
     towards = _facing(cloud, cloud.viewpoint if viewpoint is None else viewpoint)
-    columns = [column.contiguous() for column in cloud.points.unbind(1)]
+    x, y, z = (column.contiguous() for column in cloud.points.unbind(1))
     chunks = list(row_chunks(len(cloud.points), near.max_neighbors))
     if not derivative_wanted(cloud.points, towards):
         normals = torch.empty_like(cloud.points)
         for rows in chunks:
-            normals[rows] = _oriented(*columns, towards[rows], near, rows)
+            normals[rows] = _oriented(x, y, z, towards[rows], near, rows)
     elif len(chunks) == 1:
-        normals = _oriented(*columns, towards, near, chunks[0])
+        normals = _oriented(x, y, z, towards, near, chunks[0])
     else:
         parts = [
-            checkpoint(_oriented, *columns, towards[rows], near, rows, use_reentrant=False, preserve_rng_state=False)
+            checkpoint(_oriented, x, y, z, towards[rows], near, rows, use_reentrant=False, preserve_rng_state=False)
             for rows in chunks
         ]
         normals = torch.cat(parts) if parts else cloud.points
