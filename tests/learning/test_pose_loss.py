@@ -96,6 +96,13 @@ def test_a_matrix_that_is_no_rotation_has_finite_gradients():
     assert torch.autograd.grad(pose_loss(flat, torch.eye(4)).total, flat)[0].isfinite().all()
 
 
+def test_a_true_pose_of_another_dtype_is_taken_to_that_of_the_estimate():
+    estimated, true = transforms(0), transforms(1)
+    loss = pose_loss(estimated.float(), true)
+    assert loss.total.dtype == torch.float32
+    assert close(loss.total.double(), pose_loss(estimated, true).total, atol=1e-5)
+
+
 def test_descent_finds_the_true_pose():
     source = torch.rand(10, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     true = transforms(3, 1)[0]

@@ -138,5 +138,9 @@ def draw_hypothesis(selection: SoftSelection, *, generator: torch.Generator | No
     """
     probability = selection.probability.detach()
     device = probability.device if generator is None else generator.device
-    index = torch.multinomial(probability.to(device), 1, generator=generator)[0].to(probability.device)
-    return DrawnHypothesis(index, selection.T_target_source[index], selection.log_probability[index])
+    # as an index of one element: a bare number would be read back to the host
+    one = torch.multinomial(probability.to(device), 1, generator=generator).to(probability.device)  # (1,)
+    T, log_probability = (
+        part.index_select(0, one)[0] for part in (selection.T_target_source, selection.log_probability)
+    )
+    return DrawnHypothesis(one[0], T, log_probability)

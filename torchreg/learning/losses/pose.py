@@ -31,7 +31,7 @@ def pose_loss(
     """Rotation geodesic plus translation: the errors of Eq. (5) and (6) of the paper, in radians and meters.
 
     The angle comes from its sine and cosine together, atan2(|axial(R)|, trace(R) - 1) with R = R_true^T R_estimated:
-    exact at small angles, and with a gradient of length at most 1 per radian everywhere. The geodesic has a kink
+    exact at small angles, and with a gradient whose entries are at most 1 everywhere. The geodesic has a kink
     where the rotations are equal and one where they lie 180 degrees apart, as |x| has one at 0: exactly there the
     gradient is zero, a subgradient. The same holds for a translation that is exactly right.
 
@@ -40,7 +40,7 @@ def pose_loss(
 
     Args:
         T_estimated: (..., 4, 4) rigid, meters.
-        T_true: (..., 4, 4) likewise, of a shape that broadcasts with it.
+        T_true: (..., 4, 4) likewise, of a shape that broadcasts with it; taken to the dtype of the estimate.
         rotation_weight: per radian, at least 0.
         translation_weight: per meter, at least 0.
 
@@ -62,6 +62,7 @@ def pose_loss(
         expect(value.shape[-2:] == (4, 4), name, "(..., 4, 4)", value)
     for weight, name in ((rotation_weight, "rotation_weight"), (translation_weight, "translation_weight")):
         expect(0 <= weight < float("inf"), name, "a finite number of at least 0", weight)
+    T_true = T_true.to(T_estimated.dtype)
     rotation = _angle(T_true[..., :3, :3].transpose(-1, -2) @ T_estimated[..., :3, :3])
     translation = safe_length(T_estimated[..., :3, 3] - T_true[..., :3, 3])
     return PoseLoss(rotation, translation, rotation_weight * rotation + translation_weight * translation)
