@@ -22,6 +22,8 @@ _CHUNKED = (
     "descriptors.fpfh",
     "descriptors.histograms",
     "descriptors.pcfh",
+    "descriptors.soft.rows",
+    "descriptors.soft.sums",
     "preprocess.normals",
     "hypotheses.verdict",
 )

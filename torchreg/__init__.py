@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 from torchreg import metrics
 from torchreg.compatibility import compatibility
 from torchreg.descriptors import contrast, fpfh, fuse, pcfh
+from torchreg.descriptors.soft.equalize import soft_equalize
+from torchreg.geometry.compiled import compiled_kernels
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.se3 import transform
 from torchreg.io import (
@@ -46,7 +48,7 @@ from torchreg.types import (
 from torchreg.version import __version__
 
 if TYPE_CHECKING:
-    from torchreg import batch, datasets, reference
+    from torchreg import batch, datasets, learning, reference
 
 __all__ = [
     "PAPER",
@@ -63,6 +65,7 @@ __all__ = [
     "__version__",
     "batch",
     "compatibility",
+    "compiled_kernels",
     "contrast",
     "datasets",
     "derive_options",
@@ -73,6 +76,7 @@ __all__ = [
     "fuse",
     "icp",
     "kabsch",
+    "learning",
     "match_mutual",
     "metrics",
     "neighbors",
@@ -82,6 +86,7 @@ __all__ = [
     "read_cloud",
     "reference",
     "register",
+    "soft_equalize",
     "spacing",
     "to_open3d",
     "transform",
@@ -89,7 +94,7 @@ __all__ = [
     "write_cloud",
 ]
 
-_ON_FIRST_USE = ("batch", "datasets", "reference")
+_ON_FIRST_USE = ("batch", "datasets", "learning", "reference")
 
 
 def __getattr__(name: str) -> ModuleType:

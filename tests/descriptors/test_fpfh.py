@@ -172,8 +172,8 @@ def test_what_does_not_fit_is_refused():
     cloud, near = oriented_room(100)
     with refuses("mode", "'open3d', 'pcl'", "'vtk'"):
         tr.fpfh(cloud, near, mode="vtk")
-    with refuses("binning", "'hard'", "'soft'"):
-        tr.fpfh(cloud, near, binning="soft")
+    with refuses("binning", "'hard', 'soft'", "'firm'"):
+        tr.fpfh(cloud, near, binning="firm")
     with refuses("cloud", "normals", "none"):
         tr.fpfh(bare(cloud.points), near)
     with refuses("near", "2", str(len(near))):

@@ -17,14 +17,26 @@ from torch import Tensor
 from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, gather, inverse_square_weights, neighbor_votes, weighted_sum
 from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
+from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, slot_weights
+from torchreg.descriptors.soft.fpfh import soft_fpfh
 from torchreg.errors import expect, expect_floating, one_of
 from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.compiled import fusible
 from torchreg.types import Clouds, Features, Neighborhoods
 
 FPFH_SIZE = 3 * ANGLE_BINS
 
 
-def fpfh(cloud: Clouds, near: Neighborhoods, *, mode: str = "open3d", binning: str = "hard") -> Features:
+def fpfh(
+    cloud: Clouds,
+    near: Neighborhoods,
+    *,
+    mode: str = "open3d",
+    binning: str = "hard",
+    bandwidth: float = 1.0,
+    edges: Tensor | None = None,
+    neighbor_weights: Tensor | None = None,
+) -> Features:
     """FPFH of every point.
 
     Args:
@@ -32,15 +44,28 @@ def fpfh(cloud: Clouds, near: Neighborhoods, *, mode: str = "open3d", binning: s
         near: the support of every point (the paper: 5 m, 100 nearest), the point itself counted.
         mode: ``"open3d"`` adds the point's own SPFH (a row sums to 600, a block to 200);
             ``"pcl"`` does not (300 and 100).
-        binning: ``"hard"`` counts votes in bins.
+        binning: ``"hard"`` counts votes in bins; ``"soft"`` lets a vote pass linearly from bin to bin, over the
+            ends of f1 too, which is an angle (``soft.votes``).
+        bandwidth: of soft binning, in (0, 1]: the part of a bin over which a vote passes to the next one. At 1 a bin
+            weighs votes by a triangle; narrow ones give the hard histogram.
+        edges: of soft binning, (3, 12) ascending from 0 to 1: where the bins of f1, f2 and f3 end, as parts of
+            their ranges [-pi, pi], [-1, 1], [-1, 1]; ``None`` for equal bins. Its first and last column stay 0 and 1.
+        neighbor_weights: of soft binning, (P, K) not below 0, multiplied into the votes of SPFH and the weights of
+            the sum over neighbors.
 
     Returns:
         Features of one block ("fpfh", 33): the angles f1, f2, f3, 11 bins each. A point without a neighbor
         gets a zero row and is not valid. The values are the same bits for any chunking, batch and number of
-        threads. No gradients flow through hard histograms.
+        threads (soft: on the CPU).
+
+        No gradients flow through hard histograms. Through soft ones they flow to points, normals, edges and
+        neighbor weights, of any order, finite for coincident points and parallel normals too; ``soft.pairs``
+        says where the values are continuous. The neighborhood is held fixed. Pairs are computed again on the
+        way back, so memory stays that of one piece of rows.
 
     Raises:
-        ValueError: no normals, or shapes that do not fit.
+        ValueError: no normals, shapes that do not fit, a bandwidth or edges out of their range, or what soft binning
+            alone reads with another one.
 
     Example:
         >>> import torch, torchreg as tr
@@ -51,19 +76,30 @@ def fpfh(cloud: Clouds, near: Neighborhoods, *, mode: str = "open3d", binning: s
         torch.Size([50, 33])
     """
     one_of(mode, "mode", ("open3d", "pcl"))
-    one_of(binning, "binning", ("hard",))
+    expect_binning(binning, bandwidth, edges=edges, neighbor_weights=neighbor_weights)
     if cloud.normals is None:
         raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
     expect_floating(cloud.points, "points")
     expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
-    spfh = simplified_histograms(cloud.points, cloud.normals, near)
-    values = _from_simplified(spfh, near, own=mode == "open3d")
+    if binning == "soft":
+        values = soft_fpfh(
+            cloud.points,
+            cloud.normals,
+            near,
+            own=mode == "open3d",
+            bandwidth=bandwidth,
+            edges=bin_edges(edges, 3, ANGLE_BINS, cloud.points),
+            neighbor_weights=slot_weights(neighbor_weights, near, cloud.points),
+        )
+    else:
+        spfh = simplified_histograms(cloud.points, cloud.normals, near)
+        values = _from_simplified(spfh, near, own=mode == "open3d")
     return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=(values != 0).any(dim=1))
 
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
     """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
-    kernel = pair_features if points.dtype == torch.float64 else compact_pair_features
+    kernel = _exact_bins if points.dtype == torch.float64 else _compact_bins
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
     out = points.new_empty(len(points), FPFH_SIZE)
     for rows in row_chunks(len(points), near.max_neighbors):
@@ -72,12 +108,22 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
         index = near.index[rows]
         query = Oriented(*(column[rows, None] for column in columns))
         neighbor = Oriented(*(gather(column, index) for column in columns))
-        pair = kernel(query, neighbor)
-        bins = (angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3))
-        counts = torch.cat([count_votes(bin_, votes, ANGLE_BINS) for bin_ in bins], dim=1)  # (r, 33)
+        counts = torch.cat([count_votes(bin_, votes, ANGLE_BINS) for bin_ in kernel(query, neighbor)], dim=1)  # (r, 33)
         total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(points.dtype)
         torch.mul(counts.to(points.dtype), 100 / total, out=out[rows])
     return out
+
+
+@fusible
+def _exact_bins(query: Oriented, neighbor: Oriented) -> tuple[Tensor, Tensor, Tensor]:
+    pair = pair_features(query, neighbor)
+    return angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3)
+
+
+@fusible
+def _compact_bins(query: Oriented, neighbor: Oriented) -> tuple[Tensor, Tensor, Tensor]:
+    pair = compact_pair_features(query, neighbor)
+    return angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3)
 
 
 def _from_simplified(spfh: Tensor, near: Neighborhoods, *, own: bool) -> Tensor:

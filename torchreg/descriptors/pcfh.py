@@ -18,6 +18,9 @@ from torch import Tensor
 
 from torchreg.descriptors.color import color_values
 from torchreg.descriptors.histograms import count_votes, gather, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, slot_weights
+from torchreg.descriptors.soft.equalize import soft_equalize
+from torchreg.descriptors.soft.pcfh import soft_pcfh
 from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
@@ -36,6 +39,10 @@ def pcfh(
     equalization: str = "cloud",
     saturation_weighting: bool = False,
     values: Tensor | None = None,
+    binning: str = "hard",
+    bandwidth: float = 1.0,
+    edges: Tensor | None = None,
+    neighbor_weights: Tensor | None = None,
 ) -> Features:
     """PCFH of every point.
 
@@ -48,25 +55,57 @@ def pcfh(
         saturation_weighting: hue votes count by the product of both points' saturations.
         values: (P, 3) hue, saturation and value in [0, 1] instead of those of ``cloud``, such as jointly
             equalized ones (``joint_color_values``).
+        binning: ``"hard"`` counts votes in bins; ``"soft"`` lets a vote pass linearly from bin to bin
+            (``soft.votes``) and equalizes by a smooth cumulative distribution (``soft_equalize``).
+        bandwidth: of soft binning, in (0, 1]: the part of a bin, and of a level of hue, over which a vote passes to
+            the next one.
+        edges: of soft binning, (channels, bins + 1) ascending from 0 to 1, where the bins of every channel end;
+            ``None`` for equal bins. Its first and last column stay 0 and 1.
+        neighbor_weights: of soft binning, (P, K) not below 0, multiplied into the votes of HHD and the weights of
+            the sum over neighbors.
 
     Returns:
         Features of one block ("pcfh", bins x channels). A point with fewer than 3 neighbors besides itself
-        gets a zero row and is not valid. The same bits for any chunking, batch and number of threads. No
-        gradients flow through hard histograms.
+        gets a zero row and is not valid. The same bits for any chunking, batch and number of threads (soft: on the
+        CPU).
+
+        No gradients flow through hard histograms. Through soft ones they flow to points, colors (or ``values``),
+        edges and neighbor weights, of any order; differences that fold (equal values, opposite hues) and gray
+        points have finite ones. Memory stays that of one piece of rows.
 
     Raises:
-        ValueError: no colors, an unknown channel, or shapes that do not fit.
+        ValueError: no colors, an unknown channel, shapes that do not fit, a bandwidth or edges out of their range, or
+            what soft binning alone reads with another one.
     """
     at_least(bins, "bins", 1)
     expect(len(channels) > 0, "channels", "at least one channel", channels)
     for channel in channels:
         one_of(channel, "channels", CHANNELS)
     expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_binning(binning, bandwidth, edges=edges, neighbor_weights=neighbor_weights)
     if values is None:
-        values = color_values(cloud, equalization)
+        values = (
+            color_values(cloud, equalization)
+            if binning == "hard"
+            else _soft_color_values(cloud, equalization, bandwidth)
+        )
     expect_shape(values, "values", (len(cloud.points), 3))
-    hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
-    out = _from_own(hhd, enough, near, bins)
+    if binning == "hard":
+        hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
+        out = _from_own(hhd, enough, near, bins)
+    else:
+        out = soft_pcfh(
+            cloud.points,
+            values,
+            near,
+            _neighbor_counts(near) >= MIN_NEIGHBORS,
+            bins=bins,
+            channels=tuple(map(CHANNELS.index, channels)),
+            saturation_weighting=saturation_weighting,
+            bandwidth=bandwidth,
+            edges=bin_edges(edges, len(channels), bins, values),
+            neighbor_weights=slot_weights(neighbor_weights, near, values),
+        )
     return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=(out != 0).any(dim=1))
 
 
@@ -76,6 +115,22 @@ def difference_bins(query: Tensor, neighbor: Tensor, bins: int, *, circular: boo
     if circular:
         return torch.minimum(difference, 1 - difference).mul_(2 * bins).clamp_(max=bins - 1).long()
     return difference.mul_(bins).clamp_(max=bins - 1).long()
+
+
+def _soft_color_values(cloud: Clouds, equalization: str, bandwidth: float) -> Tensor:
+    """As ``color_values``, equalized with gradients."""
+    values = color_values(cloud, "none")
+    if one_of(equalization, "equalization", ("none", "cloud")) == "none":
+        return values
+    return torch.cat([soft_equalize(values[:, 0], cloud.offsets, bandwidth)[:, None], values[:, 1:]], dim=1)
+
+
+def _neighbor_counts(near: Neighborhoods) -> Tensor:
+    """(P,) int64: the neighbors of every point besides itself."""
+    parts = [
+        neighbor_votes(near.index, near.valid, rows).sum(dim=1) for rows in row_chunks(len(near), near.max_neighbors)
+    ]
+    return torch.cat(parts) if parts else near.index.new_zeros(0)
 
 
 def _own_histograms(

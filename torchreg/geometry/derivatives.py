@@ -1,4 +1,4 @@
-"""Whether anybody may ask for a derivative, so that what only serves it is left out where nobody does."""
+"""Whether and how anybody may ask for a derivative, so that what only serves it is left out where nobody does."""
 
 from __future__ import annotations
 
@@ -18,6 +18,24 @@ def derivative_wanted(*values: Tensor) -> bool:
         return True
     if torch.compiler.is_compiling():  # which traces backward derivatives only
         return False
-    return any(
-        is_functorch_wrapped_tensor(value) or forward_ad.unpack_dual(value).tangent is not None for value in values
-    )
+    return any(map(transformed, values))
+
+
+def transformed(value: Tensor) -> bool:
+    """Whether a tensor is inside a transform that differentiates plain operations only.
+
+    These are ``torch.func`` transforms, forward derivatives, and compilation.
+    """
+    if torch.compiler.is_compiling() or is_functorch_wrapped_tensor(value):
+        return True
+    return forward_ad.unpack_dual(value).tangent is not None
+
+
+class TensorFunction(torch.autograd.Function):
+    """A function of one tensor with a gradient of its own."""
+
+    @classmethod
+    def call(cls, *args: object) -> Tensor:
+        """``apply``, which states no types."""
+        result: Tensor = cls.apply(*args)  # type: ignore[no-untyped-call]
+        return result

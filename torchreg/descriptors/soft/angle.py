@@ -1,0 +1,65 @@
+"""The angle of a direction, by operations that round alike in every lane.
+
+``torch.atan2`` computes the end of a range with another routine than its bulk, so its last bits depend on how rows
+are cut. Here the angle is halved until a short series holds: tan(a / 2) = tan(a) / (1 + sqrt(1 + tan(a)^2)).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.derivatives import TensorFunction
+
+_TERMS = {torch.float32: 6, torch.float64: 12}  # of t - t^3 / 3 + ... for t up to tan(pi / 16)
+
+
+class _Angle(TensorFunction):
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(sine: Tensor, cosine: Tensor) -> Tensor:
+        length = (sine * sine).add_(cosine * cosine).sqrt_()
+        half = sine / length.add_(cosine.abs())  # tan(a / 2), at most 1
+        for _ in range(2):
+            half = half.div_((half * half).add_(1).sqrt_().add_(1))
+        square = half * half
+        terms = _TERMS.get(sine.dtype, 6)
+        series = torch.zeros_like(square)
+        for n in range(terms - 1, -1, -1):
+            series = series.mul_(square).add_((-1) ** n / (2 * n + 1))
+        front = series.mul_(half).mul_(8)
+        behind = torch.copysign(torch.full_like(front, math.pi), sine).sub_(front)
+        return torch.where(cosine < 0, behind, front)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:  # noqa: ANN401
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:  # noqa: ANN401
+        sine, cosine = ctx.saved_tensors
+        turn = grads[0] / (sine * sine + cosine * cosine)
+        return turn * cosine, -turn * sine
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Tensor) -> Tensor:  # noqa: ANN401
+        sine, cosine = ctx.saved_tensors
+        return (cosine * tangents[0] - sine * tangents[1]) / (sine * sine + cosine * cosine)
+
+
+def angle(sine: Tensor, cosine: Tensor) -> Tensor:
+    """The angle in [-pi, pi] of the direction (cosine, sine), as ``atan2``, to a few roundings.
+
+    Args:
+        sine: any shape; not zero together with ``cosine``.
+        cosine: the same shape.
+
+    Returns:
+        The same shape. Gradients flow, of any order; directions of length zero have none.
+    """
+    return _Angle.call(sine, cosine)

@@ -1,0 +1,47 @@
+"""What callers may hand to soft binning, checked."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_floating, expect_shape, fraction, one_of
+from torchreg.types import Neighborhoods
+
+BINNINGS = ("hard", "soft")
+
+
+def expect_binning(binning: str, bandwidth: float, *, edges: Tensor | None, neighbor_weights: Tensor | None) -> None:
+    """Refuse an unknown binning, a bandwidth out of (0, 1], and options that the binning would not read."""
+    one_of(binning, "binning", BINNINGS)
+    fraction(bandwidth, "bandwidth")
+    if binning == "hard":
+        expect(bandwidth == 1, "bandwidth", "1 with hard binning, which does not read it", bandwidth)
+        expect(edges is None, "edges", "None with hard binning, whose bins are equal", edges)
+        expect(neighbor_weights is None, "neighbor_weights", "None with hard binning, which counts", neighbor_weights)
+
+
+def bin_edges(edges: Tensor | None, rows: int, bins: int, like: Tensor) -> Tensor | None:
+    """Edges (rows, bins + 1) in the dtype of ``like``; gradients flow on."""
+    if edges is None:
+        return None
+    expect_shape(edges, "edges", (rows, bins + 1))
+    expect_floating(edges, "edges")
+    if not torch.compiler.is_compiling():
+        ascending = bool((edges.detach()[:, 1:] > edges.detach()[:, :-1]).all())
+        expect(ascending, "edges", "numbers that ascend in every row", edges)
+        ends = bool((edges.detach()[:, 0] == 0).all()) and bool((edges.detach()[:, -1] - 1).abs().max() < 1e-5)
+        expect(ends, "edges", "rows from 0 to 1", edges)
+    return edges.to(like)
+
+
+def slot_weights(weights: Tensor | None, near: Neighborhoods, like: Tensor) -> Tensor | None:
+    """Neighbor weights (P, K) in the dtype of ``like``; gradients flow on."""
+    if weights is None:
+        return None
+    expect_shape(weights, "neighbor_weights", (len(near), near.max_neighbors))
+    expect_floating(weights, "neighbor_weights")
+    if not torch.compiler.is_compiling():
+        allowed = bool((torch.isfinite(weights.detach()) & (weights.detach() >= 0) | ~near.valid).all())
+        expect(allowed, "neighbor_weights", "finite numbers not below 0", weights)
+    return weights.to(like)

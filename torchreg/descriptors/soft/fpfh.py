@@ -1,0 +1,94 @@
+"""FPFH with gradients: Eq. (2) of the paper over soft histograms of the three angles."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented
+from torchreg.descriptors.soft.pair_gradient import pair_gradient
+from torchreg.descriptors.soft.pairs import arranged_pair, pair_positions
+from torchreg.descriptors.soft.rows import Piece, PieceGradient, by_rows
+from torchreg.descriptors.soft.spread import add_neighbors, distance_weights, scaled_gradient, scaled_to_100
+from torchreg.descriptors.soft.votes import Shares, bin_shares, share_gradient, shared_votes
+from torchreg.geometry.compiled import fusible
+from torchreg.types import Neighborhoods
+
+_ANGLES = 3
+
+
+def soft_fpfh(
+    points: Tensor,
+    normals: Tensor,
+    near: Neighborhoods,
+    *,
+    own: bool,
+    bandwidth: float,
+    edges: Tensor | None,
+    neighbor_weights: Tensor | None,
+) -> Tensor:
+    """(P, 33); the arguments are those of ``torchreg.fpfh``, ``own`` whether a point's own histogram is added."""
+
+    def histograms(piece: Piece) -> Tensor:
+        shares = _shares(piece.own, piece.near, _edges(piece), bandwidth)
+        return scaled_to_100(_counts(shares, piece.votes)).flatten(1)
+
+    def derivative(piece: Piece, grad: Tensor) -> PieceGradient:
+        shares = _shares(piece.own, piece.near, _edges(piece), bandwidth)
+        counts = _counts(shares, piece.votes)
+        of_counts = scaled_gradient(counts, grad.view(counts.shape))
+        return PieceGradient(*_gradient(piece.own, piece.near, piece.votes, shares, of_counts, bandwidth))
+
+    if len(points) == 0:
+        return points.new_empty(0, _ANGLES * ANGLE_BINS)
+    settings = None if edges is None else edges.flatten()
+    table = torch.cat([points, normals], dim=1)
+    spfh = by_rows(histograms, table, near, neighbor_weights, settings, derivative=derivative)
+    weights = distance_weights(points, near, neighbor_weights)
+    return add_neighbors(spfh, near, weights, _ANGLES, keep_own=own)
+
+
+@fusible
+def _shares(
+    own: tuple[Tensor, ...], near: tuple[Tensor, ...], edges: list[Tensor | None], bandwidth: float
+) -> list[Shares]:
+    """Between which bins the three angles of every pair stand."""
+    positions = pair_positions(arranged_pair(Oriented(*own), Oriented(*near)))
+    return [
+        bin_shares(position, ANGLE_BINS, bandwidth, edges=edges[angle], circular=angle == 0)
+        for angle, position in enumerate(positions)
+    ]
+
+
+def _counts(shares: list[Shares], votes: Tensor) -> Tensor:
+    """(r, 3, 11)."""
+    return torch.stack([shared_votes(share, votes, ANGLE_BINS) for share in shares], dim=1)
+
+
+@fusible
+def _gradient(
+    own: tuple[Tensor, ...],
+    near: tuple[Tensor, ...],
+    votes: Tensor,
+    shares: list[Shares],
+    of_counts: Tensor,
+    bandwidth: float,
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], Tensor]:
+    """From the gradient (r, 3, 11) of counts to that of points and normals, own and near, and of votes."""
+    parts = [share_gradient(share, of_counts[:, i], bandwidth) for i, share in enumerate(shares)]
+    of_f1, of_f2, of_f3 = (
+        part.step * votes * (ANGLE_BINS / reach) for part, reach in zip(parts, (2 * math.pi, 2, 2), strict=True)
+    )
+    of_pair = pair_gradient(arranged_pair(Oriented(*own), Oriented(*near)), of_f1, of_f2, of_f3)
+    of_own = (*(-part.sum(dim=1) for part in of_pair.line), *(part.sum(dim=1) for part in of_pair.query_normal))
+    of_votes = parts[0].level + parts[1].level + parts[2].level
+    return of_own, (*of_pair.line, *of_pair.neighbor_normal), of_votes
+
+
+def _edges(piece: Piece) -> list[Tensor | None]:
+    """The edges (r, bins + 1) of every angle."""
+    if piece.settings is None:
+        return [None] * _ANGLES
+    return list(piece.settings.view(len(piece.settings), _ANGLES, -1).unbind(1))

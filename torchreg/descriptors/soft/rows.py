@@ -1,0 +1,200 @@
+"""Functions of a point and its neighbors, in pieces that are computed again on the way back.
+
+Plain autograd would keep every intermediate of every pair of neighbors, gigabytes for a cloud of 100,000 points. Here
+the forward pass keeps the inputs alone, and the backward pass goes through the same pieces once more, so that memory
+is that of one piece. Gradients of a point are summed in the order of the rows, whatever the pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors.histograms import gather, neighbor_votes
+from torchreg.geometry.chunks import row_chunks, stable_sum
+from torchreg.geometry.derivatives import TensorFunction, derivative_wanted, transformed
+from torchreg.types import Neighborhoods
+
+
+class Piece(NamedTuple):
+    """Some rows of a neighborhood with everything that a kernel reads.
+
+    Attributes:
+        own: C columns (r, 1) of the points themselves.
+        near: C columns (r, K) of their neighbors.
+        votes: (r, K) 1 where a slot holds another point, times its neighbor weight; else 0.
+        settings: (r, E) numbers that rows share, such as edges of bins; or ``None``.
+    """
+
+    own: tuple[Tensor, ...]
+    near: tuple[Tensor, ...]
+    votes: Tensor
+    settings: Tensor | None
+
+
+class PieceGradient(NamedTuple):
+    """What a kernel's derivative by hand returns; ``None`` for what was not asked.
+
+    Attributes:
+        own: C columns (r,).
+        near: C columns (r, K).
+        votes: (r, K).
+    """
+
+    own: tuple[Tensor, ...]
+    near: tuple[Tensor, ...]
+    votes: Tensor | None
+
+
+Kernel = Callable[[Piece], Tensor]
+"""Rows (r, D) of a piece, by differentiable operations that do not mix rows."""
+
+Derivative = Callable[[Piece, Tensor], PieceGradient]
+"""From a piece and the gradient (r, D) of its rows to that of the piece, but for settings: faster than autograd."""
+
+
+def by_rows(
+    kernel: Kernel,
+    table: Tensor,
+    near: Neighborhoods,
+    weights: Tensor | None = None,
+    settings: Tensor | None = None,
+    *,
+    derivative: Derivative | None = None,
+) -> Tensor:
+    """A kernel over all neighborhoods.
+
+    Args:
+        kernel: from a piece to (r, D).
+        table: (P, C), what is gathered.
+        near: P neighborhoods.
+        weights: (P, K) neighbor weights, multiplied into the votes.
+        settings: (E,) numbers handed to every row.
+        derivative: of the kernel, by hand; ``None`` leaves it to autograd, as do settings.
+
+    Returns:
+        (P, D). Gradients flow to ``table``, ``weights`` and ``settings``, of any order (second ones through plain
+        autograd, which keeps all intermediates). The same bits for any pieces and number of threads.
+    """
+    if settings is not None:
+        settings = settings.expand(len(table), -1) if transformed(settings) else _Repeated.call(settings, len(table))
+    inputs = (table, weights, settings)
+    given = [value for value in inputs if value is not None]
+    if not derivative_wanted(*given):
+        return _whole(kernel, near, *inputs)
+    if any(transformed(value) for value in given):
+        return _whole(kernel, near, *inputs)
+    return _ByRows.call(kernel, derivative if settings is None else None, near, *inputs)
+
+
+def _pieces(near: Neighborhoods, table: Tensor, weights: Tensor | None, settings: Tensor | None) -> Iterator[Piece]:
+    columns = [column.contiguous() for column in table.unbind(1)]
+    for rows in row_chunks(len(near), near.max_neighbors):
+        index = near.index[rows]
+        yield Piece(
+            tuple(column[rows, None] for column in columns),
+            tuple(gather(column, index) for column in columns),
+            _votes(near, rows, table, None if weights is None else weights[rows]),
+            None if settings is None else settings[rows],
+        )
+
+
+def _votes(near: Neighborhoods, rows: slice, table: Tensor, weights: Tensor | None) -> Tensor:
+    counted = neighbor_votes(near.index, near.valid, rows)
+    return counted.to(table.dtype) if weights is None else torch.where(counted, weights, 0)
+
+
+def _whole(
+    kernel: Kernel, near: Neighborhoods, table: Tensor, weights: Tensor | None, settings: Tensor | None
+) -> Tensor:
+    """The kernel by plain autograd."""
+    return torch.cat([kernel(piece) for piece in _pieces(near, table, weights, settings)] or [table[:, :0]])
+
+
+class _ByRows(TensorFunction):
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        kernel: Kernel,
+        derivative: Derivative | None,
+        near: Neighborhoods,
+        table: Tensor,
+        weights: Tensor | None,
+        settings: Tensor | None,
+    ) -> Tensor:
+        ctx.kernel, ctx.derivative, ctx.near = kernel, derivative, near
+        ctx.save_for_backward(table, weights, settings)
+        return _whole(kernel, near, table, weights, settings)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[3:]
+        if torch.is_grad_enabled():  # somebody will differentiate this again
+            out = _whole(ctx.kernel, ctx.near, *inputs)
+            asked = [value for value, needed in zip(inputs, wanted, strict=True) if needed]
+            found = iter(torch.autograd.grad(out, asked, grads[0], create_graph=True))
+            return None, None, None, *(next(found) if needed else None for needed in wanted)
+        return None, None, None, *_backward_by_pieces(ctx, inputs, wanted, grads[0])
+
+
+def _backward_by_pieces(
+    ctx: Any,  # noqa: ANN401
+    inputs: tuple[Tensor, Tensor | None, Tensor | None],
+    wanted: tuple[bool, bool, bool],
+    grad: Tensor,
+) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+    table, weights, settings = inputs
+    own, gathered = (table.new_zeros(table.shape[1], len(table)) for _ in range(2))
+    of_weights = torch.empty_like(weights) if wanted[1] and weights is not None else None
+    of_settings = settings.new_empty(settings.shape) if wanted[2] and settings is not None else None
+    cuts, pieces = row_chunks(len(ctx.near), ctx.near.max_neighbors), _pieces(ctx.near, *inputs)
+    for rows, piece in zip(cuts, pieces, strict=True):
+        if ctx.derivative is not None:
+            found, shared = ctx.derivative(piece, grad[rows]), None
+        else:
+            found, shared = _by_autograd(ctx.kernel, piece, wanted, grad[rows])
+        if of_settings is not None and shared is not None:
+            of_settings[rows] = shared
+        if of_weights is not None and found.votes is not None:
+            of_weights[rows] = found.votes * neighbor_votes(ctx.near.index, ctx.near.valid, rows)
+        if wanted[0]:
+            index = ctx.near.index[rows].reshape(-1)
+            for c in range(len(gathered)):
+                own[c, rows] = found.own[c]
+                gathered[c].index_add_(0, index, found.near[c].reshape(-1))
+    return (own.add_(gathered).t() if wanted[0] else None), of_weights, of_settings
+
+
+def _by_autograd(
+    kernel: Kernel, piece: Piece, wanted: tuple[bool, bool, bool], grad: Tensor
+) -> tuple[PieceGradient, Tensor | None]:
+    """The gradient of a piece, and that of its settings (r, E)."""
+    columns = [value.detach() for value in (*piece.own, *piece.near)]
+    votes = piece.votes.detach()
+    shared = None if piece.settings is None else piece.settings.detach()
+    asked = (columns if wanted[0] else []) + ([votes] if wanted[1] else [])
+    asked = asked + ([shared] if wanted[2] and shared is not None else [])
+    for leaf in asked:
+        leaf.requires_grad_()
+    half = len(piece.own)
+    with torch.enable_grad():
+        out = kernel(Piece(tuple(columns[:half]), tuple(columns[half:]), votes, shared))
+    found = list(torch.autograd.grad(out, asked, grad, allow_unused=True, materialize_grads=True))
+    of_settings = found.pop() if wanted[2] else None
+    of_votes = found.pop() if wanted[1] else None
+    return PieceGradient(tuple(column[:, 0] for column in found[:half]), tuple(found[half:]), of_votes), of_settings
+
+
+class _Repeated(TensorFunction):
+    """Numbers (E,) repeated in every row (P, E), whose gradient is summed in one fixed order."""
+
+    @staticmethod
+    def forward(ctx: Any, numbers: Tensor, rows: int) -> Tensor:  # noqa: ANN401
+        return numbers.expand(rows, -1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
+        return stable_sum(grads[0]), None
