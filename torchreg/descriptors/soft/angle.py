@@ -49,7 +49,8 @@ class _Angle(TensorFunction):
     @staticmethod
     def jvp(ctx: Any, *tangents: Tensor) -> Tensor:  # noqa: ANN401
         sine, cosine = ctx.saved_tensors
-        return (cosine * tangents[0] - sine * tangents[1]) / (sine * sine + cosine * cosine)
+        turn: Tensor = (cosine * tangents[0] - sine * tangents[1]) / (sine * sine + cosine * cosine)
+        return turn
 
 
 def angle(sine: Tensor, cosine: Tensor) -> Tensor:
