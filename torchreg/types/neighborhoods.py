@@ -77,3 +77,11 @@ class Neighborhoods:
                 limit = torch.as_tensor(positive(radius, "radius") ** 2).to(sq_distance)
             valid = valid & (sq_distance < limit)
         return Neighborhoods(index, valid, sq_distance)
+
+    def trimmed(self) -> Neighborhoods:
+        """The same neighborhoods without the slots that no row uses, after ``restrict`` most of them.
+
+        Reads one number from the device.
+        """
+        width = max(1, int(self.counts().max())) if len(self) > 0 else 1
+        return Neighborhoods(self.index[:, :width], self.valid[:, :width], self.sq_distance[:, :width])

@@ -1,0 +1,126 @@
+"""Learned against fixed: every scene judged by models that never saw it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+
+from torchreg.benchmark.intervals import bootstrap
+from torchreg.benchmark.records import Records
+from torchreg.benchmark.sensitivity.measure import Worth, worth
+from torchreg.benchmark.sensitivity.sweep import measured
+from torchreg.benchmark.sensitivity.variants import BETTER_RULE, PAPER_RULE
+from torchreg.benchmark.tables import markdown_table
+from torchreg.learning.color_model import LearnedColor
+from torchreg.learning.prepared import PreparedPair
+from torchreg.learning.training import TrainingOptions, describe_with, train_color
+
+FIXED = {"the paper's rule": PAPER_RULE, "hue, saturation, value, not equalized": BETTER_RULE}
+UNTRAINED, LEARNED = "the same with soft bins, untrained", "learned"
+RANSAC_SEEDS = (0, 1, 2)
+HEAD = ["features", "inlier ratio (95 %)", "change against the paper's rule (95 %)", "found"]
+
+
+def new_model(seed: int) -> LearnedColor:
+    """An untrained model; the seed draws the hidden weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return LearnedColor()
+
+
+def judged_by_others(
+    pairs: Sequence[PreparedPair],
+    seeds: Sequence[int],
+    options: TrainingOptions,
+    records: Records,
+    *,
+    report: Callable[[str], None] | None = None,
+) -> dict[str, list[Worth]]:
+    """The worth of fixed and learned features on every pair, the mean over seeds.
+
+    For every scene and seed a model is trained on the pairs of all other scenes, drawn evenly over scenes, and
+    measured on this one.
+    """
+    found = {name: [measured(pair, variant, records) for pair in pairs] for name, variant in FIXED.items()}
+    plain = new_model(0)
+    found[UNTRAINED] = [_measured(pair, plain, options, records, "untrained") for pair in pairs]
+    by_seed: dict[int, dict[str, Worth]] = {seed: {} for seed in seeds}
+    for scene in dict.fromkeys(pair.scene for pair in pairs):
+        tests = [pair for pair in pairs if pair.scene == scene]
+        others = [pair for pair in pairs if pair.scene != scene]
+        for seed in seeds:
+            models: dict[str, LearnedColor] = {}
+
+            def trained(
+                seed: int = seed, others: list[PreparedPair] = others, models: dict[str, LearnedColor] = models
+            ) -> LearnedColor:
+                if "model" not in models:
+                    models["model"] = new_model(seed)
+                    train_color(models["model"], evenly(others), _with_seed(options, seed))
+                return models["model"]
+
+            for pair in tests:
+                by_seed[seed][pair.name] = _measured(pair, trained, options, records, f"learned without {scene} {seed}")
+            if report is not None:
+                mean = sum(by_seed[seed][pair.name].inlier_ratio for pair in tests) / len(tests)
+                report(f"{scene}, seed {seed}: inlier ratio {mean:.3f}")
+    found[LEARNED] = [
+        Worth(*(sum(values) / len(seeds) for values in zip(*(by_seed[seed][pair.name] for seed in seeds), strict=True)))
+        for pair in pairs
+    ]
+    return found
+
+
+def evenly(pairs: Sequence[PreparedPair]) -> list[PreparedPair]:
+    """Pairs repeated so that every scene is drawn about as often."""
+    scenes: dict[str, list[PreparedPair]] = {}
+    for pair in pairs:
+        scenes.setdefault(pair.scene, []).append(pair)
+    most = max(map(len, scenes.values()))
+    return [pair for own in scenes.values() for pair in own * max(1, round(most / len(own)))]
+
+
+def learned_table(pairs: Sequence[PreparedPair], found: dict[str, list[Worth]]) -> str:
+    """Markdown, scene by scene and over all of them."""
+    rows = []
+    base = found[next(iter(FIXED))]
+    for scene in [*dict.fromkeys(pair.scene for pair in pairs), "all"]:
+        chosen = [i for i, pair in enumerate(pairs) if scene in ("all", pair.scene)]
+        for name, worths in found.items():
+            ratio = bootstrap([worths[i].inlier_ratio for i in chosen])
+            change = bootstrap([worths[i].inlier_ratio - base[i].inlier_ratio for i in chosen])
+            hits = sum(worths[i].found for i in chosen)
+            rows.append(
+                [
+                    scene if name == next(iter(found)) else "",
+                    name,
+                    f"{ratio.mean:.3f} ({ratio.low:.3f} to {ratio.high:.3f})",
+                    "" if worths is base else f"{change.mean:+.3f} ({change.low:+.3f} to {change.high:+.3f})",
+                    f"{hits:.1f} / {len(chosen)}",
+                ]
+            )
+    return markdown_table(["scene", *HEAD], rows)
+
+
+def _measured(
+    pair: PreparedPair,
+    model: LearnedColor | Callable[[], LearnedColor],
+    options: TrainingOptions,
+    records: Records,
+    name: str,
+) -> Worth:
+    def run() -> list[float]:
+        chosen = model if isinstance(model, LearnedColor) else model()
+        radius = options.color_radius * pair.voxel
+        with torch.no_grad():
+            features = describe_with(chosen, pair.source, radius), describe_with(chosen, pair.target, radius)
+        return list(worth(pair, features, RANSAC_SEEDS))
+
+    return Worth(*records.get(f"{pair.name} {name} {options}", run))
+
+
+def _with_seed(options: TrainingOptions, seed: int) -> TrainingOptions:
+    from dataclasses import replace
+
+    return replace(options, seed=seed)

@@ -1,0 +1,127 @@
+"""Pairs of scans with everything that does not change while color features are varied or trained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors import fpfh
+from torchreg.errors import at_least, expect, positive
+from torchreg.neighbors import nearest, neighbors
+from torchreg.preprocess import estimate_normals, voxel_downsample
+from torchreg.types import Clouds, Features, Neighborhoods
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedCloud:
+    """One downsampled scan.
+
+    Attributes:
+        cloud: with normals and colors.
+        near: the support of FPFH, 5 voxels and 100 nearest; color supports are restricted from it.
+        fpfh: hard FPFH.
+    """
+
+    cloud: Clouds
+    near: Neighborhoods
+    fpfh: Features
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPair:
+    """Two scans of one place with their true pose.
+
+    Attributes:
+        name: of the pair.
+        scene: what a split into training and test keeps together.
+        source: the one.
+        target: the other.
+        T_target_source: (4, 4) float64, true, between world frames (clouds' origins included).
+        voxel: meters; lengths below are multiples of it.
+    """
+
+    name: str
+    scene: str
+    source: PreparedCloud
+    target: PreparedCloud
+    T_target_source: Tensor
+    voxel: float
+
+    def true_partners(self, radius: float) -> tuple[Tensor, Tensor]:
+        """The nearest target point of every source point under the truth, and whether it is nearer than ``radius``."""
+        T = self.T_target_source
+        moved = (self.source.cloud.points.double() + self.source.cloud.origin[0]) @ T[:3, :3].t() + T[:3, 3]
+        target = self.target.cloud.points.double() + self.target.cloud.origin[0]
+        found = nearest(moved, target)
+        return found.index, found.sq_distance < radius * radius
+
+
+def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
+    """Downsample to ``voxel`` meters and describe geometry with the paper's proportions 2 : 5.
+
+    Raises:
+        ValueError: more than one cloud, no colors, or a voxel size not above 0.
+    """
+    expect(len(cloud) == 1, "cloud", "one cloud", len(cloud))
+    expect(cloud.colors is not None, "cloud", "colors", "none")
+    positive(voxel, "voxel")
+    thinned = voxel_downsample(cloud, voxel)
+    near = _support(thinned, voxel)
+    oriented = estimate_normals(thinned, near.restrict(2 * voxel, 30))
+    return PreparedCloud(oriented, near, fpfh(oriented, near))
+
+
+def prepare_pair(
+    source: Clouds, target: Clouds, T_target_source: Tensor, voxel: float, *, name: str, scene: str
+) -> PreparedPair:
+    """Both scans prepared; arguments as the attributes of ``PreparedPair``."""
+    expect(T_target_source.shape == (4, 4), "T_target_source", "(4, 4)", T_target_source)
+    return PreparedPair(
+        name,
+        scene,
+        prepare_cloud(source, voxel),
+        prepare_cloud(target, voxel),
+        T_target_source.detach().to(torch.float64),
+        voxel,
+    )
+
+
+def cropped(pair: PreparedPair, max_points: int, generator: torch.Generator) -> PreparedPair:
+    """The part of a pair around one place that both scans saw, for training within bounds of time and memory.
+
+    Args:
+        pair: returned as it is where no scan has more than ``max_points``.
+        max_points: of either scan.
+        generator: draws the place among the source points that have a partner within 2 voxels.
+
+    Returns:
+        A pair whose scans hold the points nearest to that place. Points at the rim see fewer neighbors than before.
+    """
+    at_least(max_points, "max_points", 1)
+    if max(len(side.cloud.points) for side in (pair.source, pair.target)) <= max_points:
+        return pair
+    partner, close = pair.true_partners(2 * pair.voxel)
+    shared = torch.arange(len(close), device=close.device)[close]
+    if len(shared) == 0:
+        return pair
+    row = shared[int(torch.randint(len(shared), (), generator=generator))]
+    return replace(
+        pair,
+        source=_around(pair.source, row, max_points, pair.voxel),
+        target=_around(pair.target, partner[row], max_points, pair.voxel),
+    )
+
+
+def _around(side: PreparedCloud, row: Tensor, max_points: int, voxel: float) -> PreparedCloud:
+    points = side.cloud.points
+    distance = (points - points[row]).square().sum(dim=1)
+    rows = distance.argsort(stable=True)[:max_points].sort().values
+    cloud = side.cloud.rows(rows, torch.tensor([0, len(rows)]))
+    geometry = replace(side.fpfh, values=side.fpfh.values[rows], valid=side.fpfh.valid[rows], offsets=cloud.offsets)
+    return PreparedCloud(cloud, _support(cloud, voxel), geometry)
+
+
+def _support(cloud: Clouds, voxel: float) -> Neighborhoods:
+    return neighbors(cloud, 5 * voxel, 100)

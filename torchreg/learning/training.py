@@ -1,0 +1,135 @@
+"""Training of a color model on pairs of scans with known poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import at_least, expect, positive
+from torchreg.learning.color_model import LearnedColor
+from torchreg.learning.losses import info_nce
+from torchreg.learning.prepared import PreparedCloud, PreparedPair, cropped
+from torchreg.types import Features
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingOptions:
+    """How a model is trained.
+
+    Attributes:
+        steps: pairs seen, one a step.
+        anchors: source points a step, drawn from those with a true partner.
+        rate: step size of Adam.
+        temperature: of the contrastive loss.
+        max_points: of a scan; of larger ones a part around a shared place is drawn once.
+        color_radius: in voxels, the support of the color block.
+        partner_radius: in voxels; nearer than this under the truth, points are partners; within twice as far they are
+            no counterexamples.
+        seed: of all draws.
+    """
+
+    steps: int = 100
+    anchors: int = 512
+    max_points: int = 5000
+    rate: float = 0.03
+    temperature: float = 0.05
+    color_radius: float = 2.0
+    partner_radius: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        at_least(self.steps, "steps", 1)
+        at_least(self.anchors, "anchors", 2)
+        at_least(self.max_points, "max_points", 2)
+        for name in ("rate", "temperature", "color_radius", "partner_radius"):
+            positive(getattr(self, name), name)
+
+
+def describe_with(model: LearnedColor, side: PreparedCloud, radius: float) -> Features:
+    """Features of a prepared cloud; ``radius`` in meters."""
+    features: Features = model(side.cloud, side.near.restrict(radius).trimmed(), side.fpfh, radius)
+    return features
+
+
+def train_color(
+    model: LearnedColor,
+    pairs: Sequence[PreparedPair],
+    options: TrainingOptions | None = None,
+    *,
+    report: Callable[[int, float], None] | None = None,
+) -> list[float]:
+    """Train a model in place by contrast: of all points, the true partner should be the most alike.
+
+    Every step draws a pair, draws anchors among the points that have a true partner, and takes InfoNCE both ways
+    against all points of the other scan.
+
+    Args:
+        model: on the CPU or another device, with the pairs on the same.
+        pairs: of any scenes, at least one.
+        options: how.
+        report: called with every step's number and loss.
+
+    Returns:
+        The losses of all steps. The same seed gives the same weights, bit for bit, on the CPU.
+
+    Raises:
+        ValueError: no pairs, or none whose scans overlap.
+    """
+    options = options or TrainingOptions()
+    expect(len(pairs) > 0, "pairs", "at least one", pairs)
+    generator = torch.Generator().manual_seed(options.seed)
+    parts = [cropped(pair, options.max_points, generator) for pair in pairs]
+    usable = [(pair, *_partners(pair, options)) for pair in parts]
+    usable = [entry for entry in usable if len(entry[1]) >= 2]
+    expect(len(usable) > 0, "pairs", "pairs whose scans overlap", [pair.name for pair in pairs])
+    optimizer = torch.optim.Adam(model.parameters(), lr=options.rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.steps)
+    losses = []
+    for step in range(options.steps):
+        pair, rows, partners = usable[int(torch.randint(len(usable), (), generator=generator))]
+        drawn = torch.randperm(len(rows), generator=generator)[: options.anchors].to(rows.device)
+        loss = _loss(model, pair, rows[drawn], partners[drawn], options)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        losses.append(float(loss.detach()))
+        if report is not None:
+            report(step, losses[-1])
+    return losses
+
+
+def _partners(pair: PreparedPair, options: TrainingOptions) -> tuple[Tensor, Tensor]:
+    """Source rows that have a true partner, and these partners."""
+    index, close = pair.true_partners(options.partner_radius * pair.voxel)
+    rows = torch.arange(len(index), device=index.device)[close]
+    return rows, index[rows]
+
+
+def _loss(model: LearnedColor, pair: PreparedPair, rows: Tensor, partners: Tensor, options: TrainingOptions) -> Tensor:
+    """InfoNCE of anchors against all points of the other scan, both ways, as mutual matching will compare them."""
+    radius = options.color_radius * pair.voxel
+    source, target = (
+        torch.nn.functional.normalize(describe_with(model, side, radius).values, dim=1)
+        for side in (pair.source, pair.target)
+    )
+    close = 2 * options.partner_radius * pair.voxel
+    places, others = pair.target.cloud.points, pair.source.cloud.points
+    forth = info_nce(
+        source[rows],
+        target,
+        partners,
+        ignored=torch.cdist(places[partners], places) < close,
+        temperature=options.temperature,
+    )
+    back = info_nce(
+        target[partners],
+        source,
+        rows,
+        ignored=torch.cdist(others[rows], others) < close,
+        temperature=options.temperature,
+    )
+    return (forth + back) / 2
