@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write
-from torchreg.io.quaternion import quaternion_wxyz
+from torchreg.geometry.quaternion import quaternion_wxyz
 from torchreg.types import RegistrationResult, StageCounts
 
 _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")

@@ -1,0 +1,59 @@
+"""The bootstrap: how often its interval holds the truth, and that nothing but its arguments decides."""
+
+import numpy as np
+import pytest
+import torch
+from refusals import refuses
+
+from torchreg.benchmark.bootstrap import bootstrap, mean, median
+
+
+def normal(count, seed):
+    return torch.randn(count, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).tolist()
+
+
+@pytest.mark.parametrize(("statistic", "level"), [(mean, 0.95), (mean, 0.5), (median, 0.9)])
+def test_the_interval_holds_the_truth_about_as_often_as_it_says(statistic, level):
+    runs = 300
+    held = 0
+    for seed in range(runs):
+        found = bootstrap(normal(60, seed), statistic, level=level, resamples=400, seed=seed)
+        held += found.low <= 0 <= found.high
+    assert held / runs == pytest.approx(level, abs=0.07)
+
+
+def test_the_interval_of_a_mean_is_the_textbook_one():
+    values = normal(2000, 3)
+    found = bootstrap(values)
+    half = 1.96 * np.std(values) / len(values) ** 0.5
+    assert found.value == pytest.approx(np.mean(values))
+    assert found.high - found.low == pytest.approx(2 * half, rel=0.05)
+
+
+def test_a_rate_stays_within_zero_and_one():
+    found = bootstrap([1.0] * 9 + [0.0])
+    assert found.value == pytest.approx(0.9)
+    assert 0 < found.low < 0.9 <= found.high <= 1
+
+
+def test_the_median_is_numpys():
+    for count in (1, 2, 5, 8):
+        values = normal(count, count)
+        assert float(median(torch.tensor(values))) == pytest.approx(np.median(values))
+
+
+def test_the_same_seed_the_same_bits():
+    values = normal(20, 0)
+    state = torch.random.get_rng_state()
+    assert bootstrap(values, seed=1) == bootstrap(values, seed=1)
+    assert bootstrap(values, seed=1) != bootstrap(values, seed=2)
+    assert torch.equal(torch.random.get_rng_state(), state)
+
+
+def test_refused():
+    with refuses("values", "at least one"):
+        bootstrap([])
+    with refuses("level", "below 1"):
+        bootstrap([1.0], level=1.0)
+    with refuses("resamples"):
+        bootstrap([1.0], resamples=0)

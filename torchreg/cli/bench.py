@@ -1,0 +1,20 @@
+"""``torchreg bench``: measurements that anyone can repeat. Each is a command in a module of its own."""
+
+from __future__ import annotations
+
+import typer
+
+from torchreg.cli.bench_paper import paper
+from torchreg.cli.guard import GuardedGroup
+
+bench = typer.Typer(
+    cls=GuardedGroup,
+    no_args_is_help=True,
+    help="Measure: the paper's experiments, and whatever else has a command below.",
+)
+bench.command()(paper)
+
+
+@bench.callback()
+def _group() -> None:
+    """Keep a group of one command a group."""
