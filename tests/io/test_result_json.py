@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, turn, verified_result
 
-from torchreg.io import read_transform_text, result_to_dict, write_result_json
 from torchreg.geometry.quaternion import quaternion_wxyz
+from torchreg.io import read_transform_text, result_to_dict, write_result_json
 from torchreg.types import Correspondences, HypothesisCounts, RegistrationOptions, RegistrationResult
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from torchreg.cli.batch import batch
+from torchreg.cli.bench import bench
 from torchreg.cli.check import check
 from torchreg.cli.demo import demo
 from torchreg.cli.guard import GuardedGroup
@@ -26,6 +27,7 @@ app.command()(batch)
 app.command()(check)
 app.command()(info)
 app.command()(demo)
+app.add_typer(bench, name="bench")
 
 
 def _version(wanted: bool) -> None:

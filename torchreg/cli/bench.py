@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from torchreg.cli.bench_paper import paper
+from torchreg.cli.bench_field import field
 from torchreg.cli.guard import GuardedGroup
 
 bench = typer.Typer(
@@ -12,7 +12,7 @@ bench = typer.Typer(
     no_args_is_help=True,
     help="Measure: the paper's experiments, and whatever else has a command below.",
 )
-bench.command()(paper)
+bench.command()(field)
 
 
 @bench.callback()

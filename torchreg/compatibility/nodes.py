@@ -66,9 +66,7 @@ def degrees_among(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], 
     return degree
 
 
-def _excess(
-    points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], degree: Tensor, threshold: float
-) -> Tensor:
+def _excess(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], degree: Tensor, threshold: float) -> Tensor:
     """(M,) float64: how far the degrees exceed those expected by chance, in standard deviations."""
     total = others[0].shape[1]
     step = -(-total // _ANCHORS)

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.io.atomic import atomic_write
 from torchreg.geometry.quaternion import quaternion_wxyz
+from torchreg.io.atomic import atomic_write
 from torchreg.types import RegistrationResult, StageCounts
 
 _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")

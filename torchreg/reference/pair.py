@@ -73,9 +73,7 @@ def register_pair(
     return found
 
 
-def _fused(
-    source: Clouds, target: Clouds, options: RegistrationOptions, watch: Stopwatch
-) -> tuple[Features, Features]:
+def _fused(source: Clouds, target: Clouds, options: RegistrationOptions, watch: Stopwatch) -> tuple[Features, Features]:
     """What ``torchreg.register`` matches."""
     source, source_near = oriented(source, [options])
     target, target_near = oriented(target, [options])

@@ -73,9 +73,7 @@ def boxes(center: npt.ArrayLike, size: npt.ArrayLike, look: Paint, yaw: npt.Arra
     return Quads(corners.reshape(-1, 4, 3), uv.reshape(-1, 4, 2), painted)
 
 
-def cylinders(
-    base: npt.ArrayLike, radius: npt.ArrayLike, height: npt.ArrayLike, look: Paint, sides: int = 32
-) -> Quads:
+def cylinders(base: npt.ArrayLike, radius: npt.ArrayLike, height: npt.ArrayLike, look: Paint, sides: int = 32) -> Quads:
     """``N`` closed upright cylinders from the centers of their bases (N, 3), radii and heights (N,)."""
     count = len(look)
     base = np.broadcast_to(base, (count, 3))[:, None]

@@ -1,0 +1,91 @@
+"""What rows of pairs come to, by group of pairs and by method, with intervals over the pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+from torchreg.benchmark.bootstrap import Interval, bootstrap, mean, median
+from torchreg.benchmark.field.criteria import found_by_errors, found_by_rmse, matched
+
+Row = dict[str, Any]
+Group = tuple[str, Callable[[Row], bool]]
+"""A name, and which rows belong."""
+
+OVERLAPS: tuple[tuple[str, float, float], ...] = (
+    ("overlap 0.6 and more", 0.6, 2.0),
+    ("overlap 0.35 to 0.6", 0.35, 0.6),
+    ("overlap below 0.35", -1.0, 0.35),
+)
+
+
+class Cell(NamedTuple):
+    """One method on one group of pairs. Rates are shares of pairs; ``None`` where there is nothing to speak of.
+
+    Attributes:
+        pairs: how many.
+        recall: by rotation and translation error.
+        recall_rmse: by the root mean square error over the true matches.
+        match_recall: share of pairs whose matches suffice.
+        inlier_ratio: mean over the pairs.
+        rre_deg: median over the pairs found by errors, degrees.
+        rte_m: likewise, meters.
+        seconds: median.
+        wrong_called_right: pairs not found by errors that the method calls a success.
+        right_refused: pairs found that it does not.
+        errors: pairs on which it ended with an exception.
+    """
+
+    pairs: int
+    recall: Interval
+    recall_rmse: Interval
+    match_recall: Interval | None
+    inlier_ratio: Interval | None
+    rre_deg: Interval | None
+    rte_m: Interval | None
+    seconds: Interval
+    wrong_called_right: int
+    right_refused: int
+    errors: int
+
+
+def groups(rows: Sequence[Row]) -> list[Group]:
+    """All pairs, then those of every scene, then those of every range of overlap that has some."""
+    found: list[Group] = [("all pairs", lambda _: True)]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        found.append((scene, lambda row, scene=scene: row["scene"] == scene))  # type: ignore[misc]
+    for name, low, high in OVERLAPS:
+        if any(low <= row["overlap"] < high for row in rows):
+            found.append((name, lambda row, low=low, high=high: low <= row["overlap"] < high))  # type: ignore[misc]
+    return found
+
+
+def summarize(rows: Sequence[Row], seed: int = 0) -> Cell:
+    """One cell of some rows of one method, at least one."""
+    found = [row for row in rows if found_by_errors(row)]
+    lost = [row for row in rows if not found_by_errors(row)]
+    return Cell(
+        pairs=len(rows),
+        recall=bootstrap([float(found_by_errors(row)) for row in rows], seed=seed),
+        recall_rmse=bootstrap([float(found_by_rmse(row)) for row in rows], seed=seed),
+        match_recall=_known((matched(row) for row in rows), mean, seed),
+        inlier_ratio=_known((row["inlier_ratio"] for row in rows), mean, seed),
+        rre_deg=_known((row["rre_deg"] for row in found), median, seed),
+        rte_m=_known((row["rte_m"] for row in found), median, seed),
+        seconds=bootstrap([row["seconds"] for row in rows], median, seed=seed),
+        wrong_called_right=sum(row["success"] for row in lost),
+        right_refused=sum(not row["success"] for row in found),
+        errors=sum(bool(row["error"]) for row in rows),
+    )
+
+
+def difference(rows: Sequence[Row], base: Sequence[Row], seed: int = 0) -> Interval | None:
+    """How much the recall by errors of one method is above another's, over the pairs that both ran on."""
+    other = {row["pair"]: found_by_errors(row) for row in base}
+    both = [float(found_by_errors(row)) - other[row["pair"]] for row in rows if row["pair"] in other]
+    return bootstrap(both, seed=seed) if both else None
+
+
+def _known(values: Iterable[float | None], statistic: Callable[[Any], Any], seed: int) -> Interval | None:
+    there = [float(value) for value in values if value is not None]
+    return bootstrap(there, statistic, seed=seed) if there else None

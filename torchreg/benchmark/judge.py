@@ -1,0 +1,61 @@
+"""One method on one pair: its answer against the truth, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from torch import Tensor
+
+from torchreg import metrics
+from torchreg.benchmark.methods import Answer, Method, Task
+from torchreg.benchmark.methods.method import nothing_found
+
+MATCH_VOXELS = 2.0
+"""A match is an inlier, and a source point overlaps, where the truth brings it nearer than so many voxels."""
+
+
+def judged(method: Method, task: Task, T_true: Tensor) -> dict[str, Any]:
+    """Run a method and judge its answer.
+
+    Args:
+        method: which one.
+        task: the pair.
+        T_true: (4, 4) float64, meters, origins included.
+
+    Returns:
+        success (its own word), rre_deg, rte_m, rmse_m over the true matches (``None`` where the clouds do not
+        overlap), inlier_ratio and matches (``None`` where it does not tell), seconds from the clouds to the pose, and
+        error, the exception it ended with, or an empty text.
+    """
+    begin = time.perf_counter()
+    error = ""
+    try:
+        answer = method.run(task)
+    except Exception as problem:  # a peer that fails has not found the pair, and the others go on
+        answer, error = nothing_found(), f"{type(problem).__name__}: {problem}"
+    seconds = time.perf_counter() - begin
+    if not bool(answer.T_target_source.isfinite().all()):
+        answer, error = nothing_found(answer.matches), "a transform that is not finite"
+    T = answer.T_target_source
+    near = MATCH_VOXELS * task.voxel
+    rmse = float(metrics.rmse_of_true_matches(task.source, task.target, T_true[None], T[None], near))
+    return {
+        "success": answer.success,
+        "rre_deg": float(metrics.rre(T_true, T)),
+        "rte_m": float(metrics.rte(T_true, T)),
+        "rmse_m": rmse if math.isfinite(rmse) else None,
+        "inlier_ratio": _inlier_ratio(answer, T_true, near),
+        "matches": None if answer.matches is None else len(answer.matches.correspondences.source),
+        "seconds": seconds,
+        "error": error,
+        "T": T.tolist(),
+    }
+
+
+def _inlier_ratio(answer: Answer, T_true: Tensor, near: float) -> float | None:
+    if answer.matches is None:
+        return None
+    source, target, matches = answer.matches
+    return float(metrics.inlier_ratio(source, target, matches, T_true[None], near))

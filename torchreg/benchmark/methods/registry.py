@@ -1,0 +1,41 @@
+"""Every method by name, and those that are left out, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torchreg.benchmark.methods.kiss import KISS
+from torchreg.benchmark.methods.method import Method
+from torchreg.benchmark.methods.open3d_methods import OPEN3D
+from torchreg.benchmark.methods.ours import OURS
+from torchreg.benchmark.methods.robust_solvers import SOLVERS
+from torchreg.errors import expect
+
+METHODS: dict[str, Method] = {method.name: method for method in (*OPEN3D, *KISS, *SOLVERS, *OURS)}
+"""In the order of the tables: peers first."""
+
+NOT_HERE: dict[str, str] = {
+    "TEASER++": "PyPI has no package of it.",
+    "Go-ICP": "PyPI has its source alone (py-goicp), no wheel.",
+    "SDRSAC": "PyPI lists it (sdrsac) without a file that can be installed.",
+    "probreg": "PyPI has its source alone, no wheel; its methods also need a first guess.",
+    "GRIP": "gripcd needs pytorch3d, of which PyPI has no wheel.",
+    "CliReg": "its wheel (clireg 1.0.4) takes all logging to standard output and answers these clouds, features and "
+    "thresholds with an empty graph of matches.",
+    "Occulus": "its FPFH is a loop over points in Python, minutes a cloud; its RANSAC takes no seed.",
+}
+"""What might be expected beside these, and why it is not."""
+
+
+def chosen_methods(names: Sequence[str] | None) -> tuple[Method, ...]:
+    """Methods by name in the order of ``METHODS``; ``None`` takes all.
+
+    Raises:
+        ValueError: a name that no method has, or none at all.
+    """
+    if names is None:
+        return tuple(METHODS.values())
+    expect(len(names) > 0, "methods", "at least one", names)
+    for name in names:
+        expect(name in METHODS, "methods", "names out of " + ", ".join(METHODS), name)
+    return tuple(method for name, method in METHODS.items() if name in names)
