@@ -6,7 +6,7 @@
 
 Pairs: the colored real ones and simulated malls, averaged over each pair's voxels v: normals 2 v / 30, FPFH 5 v / 100.
 Inlier ratio: share of the mutual matches nearer than 2 v under the truth. Found: RANSAC over 100,000 hypotheses, inlier
-threshold 1.5 v, ends within 15 degrees and 6 v of the truth. Measurements go to bench/results/sensitivity.jsonl as they
+threshold 1.5 v, ends within 15 degrees and 6 v of the truth. Measurements go to bench/results/sensitivity/ as they
 come; a run that breaks off goes on from there.
 """
 
@@ -18,15 +18,18 @@ from collections.abc import Sequence
 from common import REAL, RESULTS, ROOT, in_words, machine, save
 from readme import put_into_readme
 
-from torchreg.benchmark.records import Records
+from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.sensitivity.cases import real_cases, simulated_cases
 from torchreg.benchmark.sensitivity.figures import draw_sweep
 from torchreg.benchmark.sensitivity.learned import evenly, judged_by_others, learned_table, new_model
 from torchreg.benchmark.sensitivity.sweep import sweep, sweep_table
 from torchreg.benchmark.sensitivity.variants import AXES, BETTER_RULE, PAPER_RULE, label
+from torchreg.descriptors.learned import save_weights
+from torchreg.descriptors.learned.shipped import SHIPPED
 from torchreg.learning.prepared import PreparedPair
 from torchreg.learning.training import TrainingOptions, train_color
 
+KEPT = RESULTS / "sensitivity"
 MALLS = range(4)
 SEEDS = range(3)
 OPTIONS = TrainingOptions()
@@ -36,21 +39,21 @@ def say(line: str) -> None:
     print(line, flush=True)
 
 
-def run_sweep(pairs: Sequence[PreparedPair], records: Records) -> str:
+def run_sweep(pairs: Sequence[PreparedPair], kept: Rows) -> str:
     texts = []
     for title, center, picture in (
         ("Around the paper's rule", PAPER_RULE, "sensitivity"),
         ("Around hue, saturation and value, not equalized", BETTER_RULE, "sensitivity_better"),
     ):
-        found = sweep(pairs, center, records, report=say)
+        found = sweep(pairs, center, kept, report=say)
         chosen = {axis: label(getattr(center, axis)) for axis in AXES}
         draw_sweep(pairs, found, chosen, RESULTS / f"{picture}.png")
         texts.append(f"{title}, {len(pairs)} pairs:\n\n{sweep_table(found, center)}")
     return "\n\n".join(texts)
 
 
-def run_learn(pairs: Sequence[PreparedPair], records: Records) -> str:
-    found = judged_by_others(pairs, SEEDS, OPTIONS, records, report=say)
+def run_learn(pairs: Sequence[PreparedPair], kept: Rows) -> str:
+    found = judged_by_others(pairs, SEEDS, OPTIONS, kept, report=say)
     return learned_table(pairs, found)
 
 
@@ -65,9 +68,11 @@ def main() -> None:
     if arguments.study == "ship":
         model = new_model(0)
         train_color(model, evenly(pairs), OPTIONS, report=lambda step, loss: say(f"{step} {loss:.3f}"))
-        raise SystemExit(say(str(model.save_weights())))
-    records = Records(RESULTS / "sensitivity.jsonl")
-    text = (run_sweep if arguments.study == "sweep" else run_learn)(pairs, records)
+        say(f"weights in {save_weights(model, SHIPPED)}")
+        return
+    KEPT.mkdir(parents=True, exist_ok=True)
+    kept = Rows(KEPT, {"study": "sensitivity"})
+    text = (run_sweep if arguments.study == "sweep" else run_learn)(pairs, kept)
     facts = machine()
     say(text)
     save(f"sensitivity_{arguments.study}", {"machine": facts, "text": text})

@@ -8,7 +8,7 @@ from problems import room_pair
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.learning.color_model import LearnedColor
+from torchreg.descriptors.learned import LearnedColor
 from torchreg.learning.prepared import cropped, prepare_pair
 from torchreg.learning.training import TrainingOptions, describe_with, train_color
 
@@ -30,20 +30,27 @@ def model(seed=0):
     return LearnedColor()
 
 
-def test_an_untrained_model_is_the_plain_rule_with_soft_bins(pairs):
+def test_an_untrained_model_without_roots_is_the_plain_rule_with_soft_bins(pairs):
     side, radius = pairs[0].source, 2 * VOXEL
-    near = side.near.restrict(radius)
-    channels = ("hue", "saturation", "value")
-    color = tr.pcfh(side.cloud, near, channels=channels, equalization="none", binning="soft")
+    fresh = model()
+    with torch.no_grad():
+        fresh.root_logits.fill_(-40.0)
+    color = tr.pcfh(
+        side.cloud,
+        side.near.restrict(radius),
+        channels=("hue", "saturation", "value"),
+        equalization="none",
+        binning="soft",
+    )
     plain = tr.fuse(side.fpfh, color)
-    found = describe_with(model(), side, radius)
-    assert found.blocks == plain.blocks
-    assert close(found.values.detach(), plain.values, atol=2e-3)
+    found = describe_with(fresh, side, radius)
+    assert found.blocks == (("fpfh", 33), ("learned", 33))
+    assert close(found.values.detach(), plain.values, atol=1e-5)
 
 
 def test_every_parameter_gets_a_finite_gradient(pairs):
     fresh = model()
-    torch.nn.init.normal_(fresh.say[2].weight)
+    torch.nn.init.normal_(fresh.say_out.weight)
     values = describe_with(fresh, pairs[0].source, 2 * VOXEL).values
     (values * torch.randn(values.shape, generator=torch.Generator().manual_seed(0))).sum().backward()
     for name, parameter in fresh.named_parameters():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from torchreg.cli.bench_field import field
+from torchreg.cli.bench_speed import speed
 from torchreg.cli.guard import GuardedGroup
 
 bench = typer.Typer(
@@ -13,6 +14,7 @@ bench = typer.Typer(
     help="Measure: the paper's experiments, and whatever else has a command below.",
 )
 bench.command()(field)
+bench.command()(speed)
 
 
 @bench.callback()

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.descriptors.learned import LearnedColor
 from torchreg.errors import at_least, expect, positive
-from torchreg.learning.color_model import LearnedColor
 from torchreg.learning.losses import info_nce
 from torchreg.learning.prepared import PreparedCloud, PreparedPair, cropped
 from torchreg.types import Features
@@ -31,7 +31,7 @@ class TrainingOptions:
         seed: of all draws.
     """
 
-    steps: int = 100
+    steps: int = 60
     anchors: int = 512
     max_points: int = 5000
     rate: float = 0.03
@@ -50,8 +50,7 @@ class TrainingOptions:
 
 def describe_with(model: LearnedColor, side: PreparedCloud, radius: float) -> Features:
     """Features of a prepared cloud; ``radius`` in meters."""
-    features: Features = model(side.cloud, side.near.restrict(radius).trimmed(), side.fpfh, radius)
-    return features
+    return model.fused(side.fpfh, model(side.cloud, side.near.restrict(radius).trimmed(), radius))
 
 
 def train_color(

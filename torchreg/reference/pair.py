@@ -84,7 +84,7 @@ def _fused(source: Clouds, target: Clouds, options: RegistrationOptions, watch: 
     right = describe(target, target_near, [options], target_color, color)
     watch.lap("descriptors")
     weights = options.color_weights[: len(color)]
-    return fused(left, color, weights), fused(right, color, weights)
+    return fused(left, color, weights, options.root), fused(right, color, weights, options.root)
 
 
 def _match(source: Features, target: Features, *, everything: bool) -> tuple[Tensor, tuple[str, ...]]:

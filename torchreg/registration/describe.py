@@ -10,6 +10,8 @@ from torch import Tensor
 
 from torchreg.descriptors import contrast, fpfh, fuse, pcfh
 from torchreg.descriptors.color import color_values, joint_color_values
+from torchreg.descriptors.fuse import rooted
+from torchreg.descriptors.learned import shipped_color
 from torchreg.errors import expect
 from torchreg.neighbors import neighbors
 from torchreg.preprocess import estimate_normals, voxel_downsample
@@ -39,6 +41,8 @@ def oriented(cloud: Clouds, options: Options) -> tuple[Clouds, Neighborhoods]:
     return estimate_normals(cloud, normal_near), near
 
 
+_HISTOGRAMS = ("fpfh", "pcfh")  # whose entries are percents; the others are what they are
+
 Described = dict[str, Features]
 """Descriptors of the points of one side by name, not yet scaled or weighed."""
 
@@ -57,6 +61,8 @@ def describe(
     for block in color:
         if block == "contrast":
             found[block] = contrast(cloud, color_support, radius)
+        elif block == "learned":
+            found[block] = shipped_color(cloud, color_support, radius)
         else:
             found[block] = pcfh(
                 cloud,
@@ -69,9 +75,15 @@ def describe(
     return found
 
 
-def fused(described: Described, color: Sequence[str], weights: Sequence[float]) -> Features:
-    """FPFH and these color blocks with these weights beside FPFH's 1, as one vector."""
-    return fuse(described["fpfh"], *(described[name] for name in color), weights=(1.0, *weights))
+def fused(described: Described, color: Sequence[str], weights: Sequence[float], root: float = 0.0) -> Features:
+    """FPFH and these color blocks with these weights beside FPFH's 1, as one vector; histograms rooted so far."""
+    blocks = [
+        replace(described[name], values=rooted(described[name].values, root))
+        if root > 0 and name in _HISTOGRAMS
+        else described[name]
+        for name in ("fpfh", *color)
+    ]
+    return fuse(*blocks, weights=(1.0, *weights))
 
 
 def color_of_pairs(source: Clouds, target: Clouds, options: Options) -> tuple[Tensor, Tensor] | tuple[None, None]:

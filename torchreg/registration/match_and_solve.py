@@ -57,7 +57,7 @@ def register_described(
         expect(not lacking, name, f"descriptions with {', '.join(lacking)}", list(side.descriptors))
     sides = (source.descriptors, target.descriptors)
     clouds = (source.cloud, target.cloud)
-    matches = [match(*sides, recipe, options[0].ratio) for recipe in recipes]
+    matches = [match(*sides, recipe, options[0].ratio, options[0].root) for recipe in recipes]
     watch.lap("matching")
     proposed = [
         Proposed(recipe.words, found, solve(*clouds, found, recipe, options, seed))

@@ -91,9 +91,11 @@ def blocks_of(recipes: Sequence[Recipe]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for recipe in recipes for name in recipe.color))
 
 
-def match(source: Described, target: Described, recipe: Recipe, ratio: float | None) -> Correspondences:
+def match(
+    source: Described, target: Described, recipe: Recipe, ratio: float | None, root: float = 0.0
+) -> Correspondences:
     """Mutual matches of one recipe's features."""
-    one, other = (fused(side, recipe.color, recipe.weights) for side in (source, target))
+    one, other = (fused(side, recipe.color, recipe.weights, root) for side in (source, target))
     return match_mutual(one, other, ratio=ratio, neighbors=recipe.neighbors)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 
 EQUALIZATIONS = ("none", "cloud", "joint")
-COLOR_BLOCKS = ("pcfh", "contrast")
+COLOR_BLOCKS = ("pcfh", "contrast", "learned")
 SCORINGS = ("count", "msac")
 SOLVERS = ("ransac", "compatibility")
 EFFORTS = ("plain", "fast", "balanced", "thorough")
@@ -94,9 +94,12 @@ class RegistrationOptions:
         feature_radius: meters, the support radius of FPFH.
         feature_max_neighbors: nearest points within it, the point itself counted.
         color: the color blocks beside FPFH: ``"pcfh"`` (the paper's histograms of differences) and
-            ``"contrast"`` (spread and shift of brightness per channel at two radii); empty for geometry
-            alone. Clouds without colors use none.
+            ``"contrast"`` (spread and shift of brightness per channel at two radii), ``"learned"`` (histograms
+            with trained bins and weights, see ``LEARNED``); empty for geometry alone. Clouds without colors use
+            none.
         color_weights: weight of each of them beside the FPFH block, all of unit length before it.
+        root: in [0, 1], how far the entries of FPFH and PCFH are moved towards their square roots before they are
+            fused: 0 (the paper) leaves them, 1 compares histograms by Hellinger's distance.
         color_radius: meters, the support radius of the color blocks.
         color_bins: bins of every PCFH histogram.
         color_channels: which of hue, saturation and value PCFH compares.
@@ -121,6 +124,7 @@ class RegistrationOptions:
     feature_max_neighbors: int = 100
     color: tuple[str, ...] = ("pcfh",)
     color_weights: tuple[float, ...] = (1.0,)
+    root: float = 0.0
     color_radius: float = 2.0
     color_bins: int = 11
     color_channels: tuple[str, ...] = ("hue",)
@@ -142,6 +146,7 @@ class RegistrationOptions:
         at_least(self.color_bins, "color_bins", 1)
         for block in self.color:
             one_of(block, "color", COLOR_BLOCKS)
+        fraction(self.root, "root", zero=True)
         for weight in self.color_weights:
             positive(weight, "color_weights")
         expect(

@@ -22,7 +22,7 @@ def simulated_cases(seeds: Sequence[int]) -> list[PreparedPair]:
     for seed in seeds:
         made = mall(seed=seed)
         pairs.append(
-            prepare_pair(made.source, made.target, made.T_target_source[0], MALL_VOXEL, name=f"mall_{seed}", scene=MALL)
+            prepare_pair(made.source, made.target, made.T_target_source, MALL_VOXEL, name=f"mall_{seed}", scene=MALL)
         )
     return pairs
 

@@ -19,9 +19,9 @@ def draw_sweep(pairs: Sequence[PreparedPair], found: Found, chosen: dict[str, st
 
     scenes = list(dict.fromkeys(pair.scene for pair in pairs))
     colors = mpl.color_sequences["tab10"]
-    figure = Figure(figsize=(11, 6.2), layout="constrained")
+    figure = Figure(figsize=(13, 6.2), layout="constrained")
     for place, (axis, values) in enumerate(found.items()):
-        panel = figure.add_subplot(2, 3, place + 1)
+        panel = figure.add_subplot(2, 4, place + 1)
         names = [name.replace("hue", "h").replace("saturation", "s").replace("value", "v") for name in values]
         for number, scene in enumerate(scenes):
             own = [i for i, pair in enumerate(pairs) if pair.scene == scene]
@@ -34,7 +34,7 @@ def draw_sweep(pairs: Sequence[PreparedPair], found: Found, chosen: dict[str, st
         panel.set_title(axis.replace("_", " "), fontsize=10)
         panel.set_ylim(bottom=0)
         panel.spines[["top", "right"]].set_visible(False)
-        if place % 3 == 0:
+        if place % 4 == 0:
             panel.set_ylabel("inlier ratio")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(scenes), frameon=False, fontsize=9)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 
-from torchreg.benchmark.intervals import bootstrap
-from torchreg.benchmark.records import Records
+from torchreg.benchmark.bootstrap import bootstrap
+from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.sensitivity.measure import Worth, worth
-from torchreg.benchmark.sensitivity.sweep import measured
+from torchreg.benchmark.sensitivity.sweep import measured, remembered
 from torchreg.benchmark.sensitivity.variants import BETTER_RULE, PAPER_RULE
 from torchreg.benchmark.tables import markdown_table
-from torchreg.learning.color_model import LearnedColor
+from torchreg.descriptors.learned import LearnedColor
 from torchreg.learning.prepared import PreparedPair
 from torchreg.learning.training import TrainingOptions, describe_with, train_color
 
-FIXED = {"the paper's rule": PAPER_RULE, "hue, saturation, value, not equalized": BETTER_RULE}
-UNTRAINED, LEARNED = "the same with soft bins, untrained", "learned"
+FIXED = {
+    "the paper's rule": PAPER_RULE,
+    "hue, saturation, value, not equalized": BETTER_RULE,
+    "the same, square roots": replace(BETTER_RULE, root=1.0),
+}
+UNTRAINED, LEARNED = "the model before training", "learned"
 RANSAC_SEEDS = (0, 1, 2)
 HEAD = ["features", "inlier ratio (95 %)", "change against the paper's rule (95 %)", "found"]
 
@@ -33,7 +38,7 @@ def judged_by_others(
     pairs: Sequence[PreparedPair],
     seeds: Sequence[int],
     options: TrainingOptions,
-    records: Records,
+    kept: Rows,
     *,
     report: Callable[[str], None] | None = None,
 ) -> dict[str, list[Worth]]:
@@ -42,9 +47,9 @@ def judged_by_others(
     For every scene and seed a model is trained on the pairs of all other scenes, drawn evenly over scenes, and
     measured on this one.
     """
-    found = {name: [measured(pair, variant, records) for pair in pairs] for name, variant in FIXED.items()}
+    found = {name: [measured(pair, variant, kept) for pair in pairs] for name, variant in FIXED.items()}
     plain = new_model(0)
-    found[UNTRAINED] = [_measured(pair, plain, options, records, "untrained") for pair in pairs]
+    found[UNTRAINED] = [_measured(pair, plain, options, kept, "untrained") for pair in pairs]
     by_seed: dict[int, dict[str, Worth]] = {seed: {} for seed in seeds}
     for scene in dict.fromkeys(pair.scene for pair in pairs):
         tests = [pair for pair in pairs if pair.scene == scene]
@@ -57,11 +62,11 @@ def judged_by_others(
             ) -> LearnedColor:
                 if "model" not in models:
                     models["model"] = new_model(seed)
-                    train_color(models["model"], evenly(others), _with_seed(options, seed))
+                    train_color(models["model"], evenly(others), replace(options, seed=seed))
                 return models["model"]
 
             for pair in tests:
-                by_seed[seed][pair.name] = _measured(pair, trained, options, records, f"learned without {scene} {seed}")
+                by_seed[seed][pair.name] = _measured(pair, trained, options, kept, f"learned without {scene} {seed}")
             if report is not None:
                 mean = sum(by_seed[seed][pair.name].inlier_ratio for pair in tests) / len(tests)
                 report(f"{scene}, seed {seed}: inlier ratio {mean:.3f}")
@@ -95,8 +100,8 @@ def learned_table(pairs: Sequence[PreparedPair], found: dict[str, list[Worth]]) 
                 [
                     scene if name == next(iter(found)) else "",
                     name,
-                    f"{ratio.mean:.3f} ({ratio.low:.3f} to {ratio.high:.3f})",
-                    "" if worths is base else f"{change.mean:+.3f} ({change.low:+.3f} to {change.high:+.3f})",
+                    f"{ratio.value:.3f} ({ratio.low:.3f} to {ratio.high:.3f})",
+                    "" if worths is base else f"{change.value:+.3f} ({change.low:+.3f} to {change.high:+.3f})",
                     f"{hits:.1f} / {len(chosen)}",
                 ]
             )
@@ -107,20 +112,14 @@ def _measured(
     pair: PreparedPair,
     model: LearnedColor | Callable[[], LearnedColor],
     options: TrainingOptions,
-    records: Records,
+    kept: Rows,
     name: str,
 ) -> Worth:
-    def run() -> list[float]:
+    def run() -> Worth:
         chosen = model if isinstance(model, LearnedColor) else model()
         radius = options.color_radius * pair.voxel
         with torch.no_grad():
             features = describe_with(chosen, pair.source, radius), describe_with(chosen, pair.target, radius)
-        return list(worth(pair, features, RANSAC_SEEDS))
+        return worth(pair, features, RANSAC_SEEDS)
 
-    return Worth(*records.get(f"{pair.name} {name} {options}", run))
-
-
-def _with_seed(options: TrainingOptions, seed: int) -> TrainingOptions:
-    from dataclasses import replace
-
-    return replace(options, seed=seed)
+    return remembered(kept, f"{pair.name} {name} {options}", run)

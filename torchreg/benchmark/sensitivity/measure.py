@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -11,6 +12,7 @@ from torchreg import metrics
 from torchreg.benchmark.sensitivity.variants import Variant
 from torchreg.descriptors import fuse, pcfh
 from torchreg.descriptors.color import color_values, joint_color_values
+from torchreg.descriptors.fuse import rooted
 from torchreg.learning.prepared import PreparedCloud, PreparedPair
 from torchreg.matching import match_mutual
 from torchreg.ransac import ransac
@@ -36,7 +38,7 @@ class Worth(NamedTuple):
 def described(pair: PreparedPair, variant: Variant) -> tuple[Features, Features]:
     """Fused features of both scans."""
     if variant.weight == 0:
-        return pair.source.fpfh, pair.target.fpfh
+        return tuple(_rooted(side.fpfh, variant.root) for side in (pair.source, pair.target))  # type: ignore[return-value]
     if variant.equalization == "joint":
         values = joint_color_values(pair.source.cloud, pair.target.cloud)
     else:
@@ -68,4 +70,8 @@ def _fused(side: PreparedCloud, values: Tensor, variant: Variant, voxel: float) 
         saturation_weighting=variant.saturation_weighting,
         values=values,
     )
-    return fuse(side.fpfh, color, weights=(1.0, variant.weight))
+    return fuse(*(_rooted(block, variant.root) for block in (side.fpfh, color)), weights=(1.0, variant.weight))
+
+
+def _rooted(features: Features, root: float) -> Features:
+    return replace(features, values=rooted(features.values, root)) if root > 0 else features

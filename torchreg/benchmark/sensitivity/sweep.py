@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
-from torchreg.benchmark.intervals import bootstrap
-from torchreg.benchmark.records import Records
+from torchreg.benchmark.bootstrap import bootstrap
+from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.sensitivity.measure import Worth, described, worth
 from torchreg.benchmark.sensitivity.variants import Variant, around, label
 from torchreg.benchmark.tables import markdown_table
@@ -18,7 +18,7 @@ HEAD = ["choice", "value", "inlier ratio", "change against the center (95 %)", "
 def sweep(
     pairs: Sequence[PreparedPair],
     center: Variant,
-    records: Records,
+    kept: Rows,
     *,
     report: Callable[[str], None] | None = None,
 ) -> dict[str, dict[str, list[Worth]]]:
@@ -28,16 +28,24 @@ def sweep(
         found[axis] = {}
         for variant in variants:
             key = label(getattr(variant, axis))
-            found[axis][key] = [measured(pair, variant, records) for pair in pairs]
+            found[axis][key] = [measured(pair, variant, kept) for pair in pairs]
             if report is not None:
                 report(f"{axis} {key}")
     return found
 
 
-def measured(pair: PreparedPair, variant: Variant, records: Records) -> Worth:
-    """The worth of a variant on a pair, from the records or anew."""
+def measured(pair: PreparedPair, variant: Variant, kept: Rows) -> Worth:
+    """The worth of a variant on a pair, from the kept or anew."""
     key = f"{pair.name} {sorted(asdict(variant).items())}"
-    return Worth(*records.get(key, lambda: list(worth(pair, described(pair, variant)))))
+    return remembered(kept, key, lambda: worth(pair, described(pair, variant)))
+
+
+def remembered(kept: Rows, key: str, measure: Callable[[], Worth]) -> Worth:
+    """What was measured under this key, measured and kept now if it was not."""
+    if key not in kept:
+        kept.add({"key": key, **measure()._asdict()})
+    row = kept[key]
+    return Worth(row["inlier_ratio"], row["found"])
 
 
 def sweep_table(found: dict[str, dict[str, list[Worth]]], center: Variant) -> str:
@@ -53,7 +61,7 @@ def sweep_table(found: dict[str, dict[str, list[Worth]]], center: Variant) -> st
                     axis.replace("_", " ") if value == next(iter(values)) else "",
                     f"**{value}**" if value == own else value,
                     f"{sum(one.inlier_ratio for one in worths) / len(worths):.3f}",
-                    "" if value == own else f"{change.mean:+.3f} ({change.low:+.3f} to {change.high:+.3f})",
+                    "" if value == own else f"{change.value:+.3f} ({change.low:+.3f} to {change.high:+.3f})",
                     f"{hits:g} / {len(worths)}",
                 ]
             )

@@ -16,6 +16,7 @@ class Variant:
         equalization: of hue, ``"none"``, ``"cloud"`` or ``"joint"``.
         saturation_weighting: whether votes on hue count by both saturations.
         channels: which are compared.
+        root: how far the entries of both histograms are moved towards their square roots.
     """
 
     bins: int = 11
@@ -24,12 +25,13 @@ class Variant:
     equalization: str = "cloud"
     saturation_weighting: bool = False
     channels: tuple[str, ...] = ("hue",)
+    root: float = 0.0
 
 
 PAPER_RULE = Variant()
 
 BETTER_RULE = Variant(equalization="none", channels=("hue", "saturation", "value"))
-"""The best single set of choices of a first sweep around the paper's rule, swept around in turn."""
+"""What a first sweep around the paper's rule found better one by one, swept around in turn."""
 
 AXES: dict[str, tuple[object, ...]] = {
     "bins": (3, 5, 8, 11, 16, 22, 33),
@@ -37,6 +39,7 @@ AXES: dict[str, tuple[object, ...]] = {
     "weight": (0.0, 0.25, 0.5, 1.0, 2.0, 4.0),
     "equalization": ("none", "cloud", "joint"),
     "saturation_weighting": (False, True),
+    "root": (0.0, 0.5, 1.0),
     "channels": (
         ("hue",),
         ("saturation",),

@@ -1,0 +1,69 @@
+"""Which subject is timed at which size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from torchreg.benchmark.speed import subjects
+from torchreg.benchmark.speed.scene import NEIGHBORS
+from torchreg.benchmark.speed.subjects import Subject
+
+POINTS = (1_000, 10_000, 100_000, 1_000_000)
+SLOTS = (25, 50, 100, 200)
+HYPOTHESES = (10_000, 60_000, 600_000)
+_PAIR_POINTS = 10_000  # where matching and the whole pair end: their cost grows with the square
+
+STAGES: dict[str, Subject] = {
+    "neighbor search": subjects.search,
+    "normals": subjects.normals,
+    "FPFH": subjects.fpfh_alone,
+    "FPFH + PCFH": subjects.fpfh_and_pcfh,
+    "FPFH + PCFH with search": subjects.with_search,
+}
+MATCHING, WHOLE, RANSAC = "mutual matching", "whole pair", "RANSAC"
+GROWTH_SUBJECT = "FPFH + PCFH"
+"""What is timed over the number of neighbors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One subject at one size.
+
+    Attributes:
+        subject: its name.
+        points: of each cloud.
+        neighbors: slots of FPFH's support.
+        hypotheses: that RANSAC draws; 0 where it does not take part.
+        build: makes what is timed out of a scene.
+    """
+
+    subject: str
+    points: int
+    neighbors: int = NEIGHBORS
+    hypotheses: int = 0
+    build: Subject
+
+    @property
+    def key(self) -> str:
+        """A name of its own."""
+        return f"{self.subject}, {self.points} points, {self.neighbors} neighbors, {self.hypotheses} hypotheses"
+
+
+def cells(points: tuple[int, ...] = POINTS) -> Iterator[Cell]:
+    """All cells, smaller clouds first."""
+    middle = min(points, key=lambda count: abs(count - _PAIR_POINTS))
+    for count in sorted(points):
+        for name, build in STAGES.items():
+            yield Cell(subject=name, points=count, build=build)
+        if count == middle:
+            for slots in SLOTS:
+                if slots != NEIGHBORS:
+                    yield Cell(subject=GROWTH_SUBJECT, points=count, neighbors=slots, build=STAGES[GROWTH_SUBJECT])
+        if count <= max(middle, _PAIR_POINTS):
+            yield Cell(subject=MATCHING, points=count, build=subjects.matching)
+        if count == middle:
+            for number in HYPOTHESES:
+                yield Cell(subject=RANSAC, points=count, hypotheses=number, build=subjects.hypotheses(number))
+        if count <= max(middle, _PAIR_POINTS):
+            yield Cell(subject=WHOLE, points=count, hypotheses=HYPOTHESES[-1], build=subjects.whole)

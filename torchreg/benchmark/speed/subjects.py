@@ -1,0 +1,175 @@
+"""What is timed: every stage, and the whole, by this library and by Open3D.
+
+Open3D's classic pipeline computes in float64 and searches neighbors anew in every stage; its tensor pipeline computes
+in float32. Our stages take neighborhoods that are at hand; the search is a row of
+its own. Open3D has no color histograms, so FPFH and PCFH together stand against its FPFH alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from torchreg.benchmark.speed.scene import Scene, Side
+from torchreg.descriptors import fpfh, pcfh
+from torchreg.geometry.compiled import compiled_kernels
+from torchreg.matching import match_mutual
+from torchreg.neighbors import neighbors
+from torchreg.open3d_loader import load_open3d
+from torchreg.preprocess import estimate_normals
+from torchreg.ransac import ransac
+from torchreg.reference import open3d
+from torchreg.reference.legacy import feature, hybrid, point_cloud
+from torchreg.registration import PAPER, register
+from torchreg.types import RansacOptions, RegistrationOptions
+
+OURS, COMPILED, CLASSIC, TENSOR = "torchreg", "torchreg, compiled", "Open3D", "Open3D, tensor"
+METHODS = (OURS, COMPILED, CLASSIC, TENSOR)
+
+Run = Callable[[], Any]
+Subject = Callable[[Scene], dict[str, Run]]
+
+
+def search(scene: Scene) -> dict[str, Run]:
+    """The hybrid search of FPFH's support."""
+    side, radius = scene.source, 5 * scene.source.spacing
+
+    def tensor() -> object:
+        core = load_open3d().core
+        points = core.Tensor.from_dlpack(side.cloud.points.__dlpack__())
+        index = core.nns.NearestNeighborSearch(points, core.int32)
+        index.hybrid_index(radius)
+        return index.hybrid_search(points, radius, side.max_neighbors)
+
+    return {OURS: lambda: neighbors(side.cloud, radius, side.max_neighbors), TENSOR: tensor}
+
+
+def normals(scene: Scene) -> dict[str, Run]:
+    """Normals, 30 nearest within 2 spacings, neighborhoods at hand."""
+    side, radius = scene.source, 2 * scene.source.spacing
+    near = side.near.restrict(radius, 30)
+    classic, tensor = point_cloud(side.cloud), _tensor_cloud(side, oriented=False)
+    return {
+        OURS: lambda: estimate_normals(side.cloud, near),
+        CLASSIC: lambda: classic.estimate_normals(hybrid(radius, 30)),
+        TENSOR: lambda: tensor.estimate_normals(30, radius),
+    }
+
+
+def fpfh_alone(scene: Scene) -> dict[str, Run]:
+    """FPFH, neighborhoods at hand."""
+    side = scene.source
+    return {**_ours(lambda: fpfh(side.oriented, side.near)), **_open3d_fpfh(side)}
+
+
+def fpfh_and_pcfh(scene: Scene) -> dict[str, Run]:
+    """FPFH and PCFH, neighborhoods at hand."""
+    side = scene.source
+    color = side.near.restrict(2 * side.spacing)
+
+    def both() -> object:
+        return fpfh(side.oriented, side.near), pcfh(side.oriented, color)
+
+    return {**_ours(both), **_open3d_fpfh(side)}
+
+
+def with_search(scene: Scene) -> dict[str, Run]:
+    """FPFH and PCFH with the neighbor search."""
+    side = scene.source
+
+    def both() -> object:
+        near = neighbors(side.oriented, 5 * side.spacing, side.max_neighbors)
+        return fpfh(side.oriented, near), pcfh(side.oriented, near.restrict(2 * side.spacing))
+
+    return {**_ours(both), **_open3d_fpfh(side)}
+
+
+def matching(scene: Scene) -> dict[str, Run]:
+    """Mutual matches of 44 numbers a point."""
+    registration = load_open3d().pipelines.registration
+    ours = (scene.source.features, scene.target.features)
+    theirs = [feature(features.values) for features in ours]
+    return {
+        OURS: lambda: match_mutual(*ours),
+        CLASSIC: lambda: registration.correspondences_from_features(*theirs, mutual_filter=True),
+    }
+
+
+def hypotheses(count: int) -> Subject:
+    """So many RANSAC hypotheses over the mutual matches, without an early end."""
+
+    def subject(scene: Scene) -> dict[str, Run]:
+        o3d = load_open3d()
+        registration = o3d.pipelines.registration
+        threshold = 1.5 * scene.source.spacing
+        options = RansacOptions(hypotheses=count, confidence=1.0, inlier_threshold=threshold)
+        source, target, matches = scene.source.cloud, scene.target.cloud, scene.matches
+        clouds = [point_cloud(source), point_cloud(target)]
+        pairs = o3d.utility.Vector2iVector(torch.stack([matches.source, matches.target], dim=1).int().numpy())
+        checkers = [
+            registration.CorrespondenceCheckerBasedOnEdgeLength(options.edge_similarity),
+            registration.CorrespondenceCheckerBasedOnDistance(threshold),
+        ]
+
+        def classic() -> object:
+            return registration.registration_ransac_based_on_correspondence(
+                *clouds,
+                pairs,
+                threshold,
+                registration.TransformationEstimationPointToPoint(False),
+                options.sample_size,
+                checkers,
+                registration.RANSACConvergenceCriteria(count, 1.0),
+            )
+
+        return {OURS: lambda: ransac(source, target, matches, options), CLASSIC: classic}
+
+    return subject
+
+
+def whole(scene: Scene) -> dict[str, Run]:
+    """From points to the transform: 600,000 hypotheses without an early end; Open3D by FPFH alone."""
+    options = _whole_options(scene.source.spacing)
+    alone = replace(options, color=(), color_weights=())
+    clouds = scene.source.cloud, scene.target.cloud
+    return {**_ours(lambda: register(*clouds, options)), CLASSIC: lambda: open3d.register(*clouds, alone)}
+
+
+def _whole_options(spacing: float) -> RegistrationOptions:
+    return replace(
+        PAPER,
+        normal_radius=2 * spacing,
+        feature_radius=5 * spacing,
+        color_radius=2 * spacing,
+        ransac=replace(PAPER.ransac, confidence=1.0, inlier_threshold=1.5 * spacing),
+    )
+
+
+def _ours(run: Run) -> dict[str, Run]:
+    def compiled() -> object:
+        with compiled_kernels():
+            return run()
+
+    return {OURS: run, COMPILED: compiled}
+
+
+def _open3d_fpfh(side: Side) -> dict[str, Run]:
+    o3d = load_open3d()
+    radius, most = 5 * side.spacing, side.max_neighbors
+    classic, tensor = point_cloud(side.oriented), _tensor_cloud(side, oriented=True)
+    return {
+        CLASSIC: lambda: o3d.pipelines.registration.compute_fpfh_feature(classic, hybrid(radius, most)),
+        TENSOR: lambda: o3d.t.pipelines.registration.compute_fpfh_feature(tensor, most, radius),
+    }
+
+
+def _tensor_cloud(side: Side, *, oriented: bool) -> Any:  # noqa: ANN401
+    o3d = load_open3d()
+    cloud = o3d.t.geometry.PointCloud()
+    cloud.point.positions = o3d.core.Tensor(side.cloud.points.contiguous().numpy())
+    if oriented and side.oriented.normals is not None:
+        cloud.point.normals = o3d.core.Tensor(side.oriented.normals.contiguous().numpy())
+    return cloud

@@ -1,0 +1,68 @@
+"""``torchreg bench speed``: times of every stage against Open3D."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from torchreg.cli import options as opt
+from torchreg.cli.device import use
+from torchreg.cli.guard import complain
+from torchreg.cli.output import standard_output
+from torchreg.errors import at_least, expect
+from torchreg.report.text import legible
+
+_A_FOLDER = "a folder, or a name for one in a folder that exists"
+
+Out = Annotated[
+    Path,
+    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
+]
+Points = Annotated[
+    str,
+    typer.Option("--points", metavar="COUNT,COUNT", help="Points of each cloud (counts, a comma between two)."),
+]
+Repeats = Annotated[
+    int, typer.Option("--repeats", metavar="COUNT", min=1, help="Counted runs of everything (a count).")
+]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="Few points and two repeats, to see within seconds how it works (a switch).")
+]
+
+
+def speed(
+    out: Out = Path("torchreg_speed"),
+    points: Points = "1000,10000,100000,1000000",
+    repeats: Repeats = 5,
+    quick: Quick = False,
+    threads: opt.Threads = None,
+) -> None:
+    """Time every stage and the whole pair against Open3D's classic and tensor pipelines, in one process.
+
+    Seconds over numbers of points, neighbors and hypotheses, how they grow (slopes of logarithms), and peak memory;
+    this library eager and compiled. On the CPU.
+
+    FOLDER holds speed.md, speed.png and speed.json. A run that was cut off goes on where it stopped.
+
+    Exit code 0: everything is there. 2: bad usage.
+    """
+    from torchreg.benchmark.speed.document import growth_table, times_table
+    from torchreg.benchmark.speed.session import Session
+
+    expect(out.is_dir() or (not out.exists() and out.absolute().parent.is_dir()), "--out", _A_FOLDER, str(out))
+    use(opt.Device.cpu, threads)
+    session = Session(out=out, points=counts(points), repeats=repeats, quick=quick)
+    rows = session.run(report=complain)
+    console = standard_output()
+    for text in (times_table(rows), growth_table(rows)):
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+    console.print(f"All tables: {legible(str(out / 'speed.md'))}", soft_wrap=True)
+
+
+def counts(text: str) -> tuple[int, ...]:
+    """Ascending counts out of a text with commas between them."""
+    words = [word.strip() for word in text.split(",")]
+    expect(all(word.isdigit() for word in words), "--points", "counts, a comma between two", text)
+    return tuple(sorted({at_least(int(word), "--points", 100) for word in words}))
