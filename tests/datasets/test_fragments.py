@@ -105,3 +105,41 @@ def test_missing_and_doubtful_logs_are_refused(tmp_path):
     (scene / "gt.log").write_text(block(0, 1, 2, motion(0)))
     with refuses(f"{scene / 'gt.log'}, line 1", "cloud_bin_0.ply"):
         Fragments(scene)
+
+
+def test_another_log_by_its_name(tmp_path):
+    scene = scene_folder(tmp_path / "s", tmp_path / "s-evaluation", information=True)
+    low = tmp_path / "s-evaluation" / "gt_lo.log"
+    low.write_text(block(1, 2, 3, motion(7)))
+    low.with_suffix(".info").write_text(block(1, 2, 3, 7 * torch.eye(6)))
+    dataset = Fragments(tmp_path, log="gt_lo.log")
+    assert (dataset.scenes, dataset.numbers) == (("s",), ((1, 2),))
+    assert torch.equal(dataset[0].T_target_source, motion(7))
+    assert float(dataset[0].information[0, 0]) == 7
+    assert Fragments(scene).numbers == ((0, 1), (0, 2))
+    with refuses(str(scene), "other.log"):
+        Fragments(tmp_path, log="other.log")
+    with refuses("log", "a folder that exists", "away/gt.log"):
+        Fragments(tmp_path, log="away/gt.log")
+
+
+@pytest.mark.parametrize("suffix", ["", "-evaluation"])
+def test_logs_in_a_folder_of_their_own(tmp_path, suffix):
+    scene = scene_folder(tmp_path / "data" / "s", tmp_path / "away")
+    logs = tmp_path / "benchmarks" / "3DLoMatch"
+    (logs / f"s{suffix}").mkdir(parents=True)
+    (logs / f"s{suffix}" / "gt.log").write_text(block(1, 2, 3, motion(7)))
+    for folder in (scene, tmp_path / "data"):
+        assert Fragments(folder, log=logs).numbers == ((1, 2),)
+
+
+def test_scenes_of_the_eth(tmp_path):
+    scene = scene_folder(tmp_path / "gazebo_summer")
+    for k in range(3):
+        (scene / f"cloud_bin_{k}.ply").rename(scene / f"Hokuyo_{k}.ply")
+    dataset = Fragments(tmp_path)
+    assert dataset.names == tuple(f"gazebo_summer__Hokuyo_{j}__Hokuyo_0" for j in (1, 2))
+    assert torch.equal(dataset[1].source.points, tr.read_cloud(scene / "Hokuyo_2.ply").points)
+    (scene / "Hokuyo_2.ply").unlink()
+    with refuses(f"{scene / 'gt.log'}, line 6", "Hokuyo_2.ply"):
+        Fragments(scene)

@@ -12,22 +12,24 @@ from torchreg import metrics
 from torchreg.benchmark.methods import Answer, Method, Task
 from torchreg.benchmark.methods.method import nothing_found
 
-MATCH_VOXELS = 2.0
-"""A match is an inlier, and a source point overlaps, where the truth brings it nearer than so many voxels."""
 
-
-def judged(method: Method, task: Task, T_true: Tensor) -> dict[str, Any]:
+def judged(
+    method: Method, task: Task, T_true: Tensor, near: float, information: Tensor | None = None
+) -> dict[str, Any]:
     """Run a method and judge its answer.
 
     Args:
         method: which one.
         task: the pair.
         T_true: (4, 4) float64, meters, origins included.
+        near: meters; a match is an inlier, and a source point overlaps, where the truth brings it nearer.
+        information: (6, 6) of the true matches, where it is known.
 
     Returns:
         success (its own word), rre_deg, rte_m, rmse_m over the true matches (``None`` where the clouds do not
-        overlap), inlier_ratio and matches (``None`` where it does not tell), seconds from the clouds to the pose, and
-        error, the exception it ended with, or an empty text.
+        overlap), information_rmse_m (the same by the information matrix, or ``None``), inlier_ratio and matches
+        (``None`` where it does not tell), seconds from the clouds to the pose, error, the exception it ended with or
+        an empty text, and T (4 x 4).
     """
     begin = time.perf_counter()
     error = ""
@@ -39,19 +41,24 @@ def judged(method: Method, task: Task, T_true: Tensor) -> dict[str, Any]:
     if not bool(answer.T_target_source.isfinite().all()):
         answer, error = nothing_found(answer.matches), "a transform that is not finite"
     T = answer.T_target_source
-    near = MATCH_VOXELS * task.voxel
-    rmse = float(metrics.rmse_of_true_matches(task.source, task.target, T_true[None], T[None], near))
+    by_points = metrics.rmse_of_true_matches(task.source, task.target, T_true[None], T[None], near)
+    by_information = None if information is None else metrics.rmse_by_information(T_true, T, information)
     return {
         "success": answer.success,
         "rre_deg": float(metrics.rre(T_true, T)),
         "rte_m": float(metrics.rte(T_true, T)),
-        "rmse_m": rmse if math.isfinite(rmse) else None,
+        "rmse_m": _finite(by_points),
+        "information_rmse_m": _finite(by_information),
         "inlier_ratio": _inlier_ratio(answer, T_true, near),
         "matches": None if answer.matches is None else len(answer.matches.correspondences.source),
         "seconds": seconds,
         "error": error,
         "T": T.tolist(),
     }
+
+
+def _finite(value: Tensor | None) -> float | None:
+    return None if value is None or not math.isfinite(float(value)) else float(value)
 
 
 def _inlier_ratio(answer: Answer, T_true: Tensor, near: float) -> float | None:

@@ -5,6 +5,15 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Table(NamedTuple):
+    """One table of texts, with what stands above it."""
+
+    heading: str
+    head: list[str]
+    rows: list[list[str]]
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from torchreg.cli.bench_3dmatch import threedmatch
 from torchreg.cli.bench_field import field
 from torchreg.cli.bench_speed import speed
 from torchreg.cli.guard import GuardedGroup
@@ -15,6 +16,7 @@ bench = typer.Typer(
 )
 bench.command()(field)
 bench.command()(speed)
+bench.command("3dmatch")(threedmatch)
 
 
 @bench.callback()

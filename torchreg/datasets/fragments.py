@@ -1,4 +1,4 @@
-"""A dataset of fragments in folders as 3DMatch and Redwood hand them out."""
+"""A dataset of fragments in folders as 3DMatch, Redwood and the ETH scenes hand them out."""
 
 from __future__ import annotations
 
@@ -15,22 +15,34 @@ from torchreg.io.placement import Viewpoint
 from torchreg.io.redwood_log import LogEntry, read_redwood_info, read_redwood_log
 
 _EVALUATION = "-evaluation"
+_FRAGMENTS = ("cloud_bin_{}.ply", "Hokuyo_{}.ply")
+"""How fragments are called: in 3DMatch and Redwood, and in the ETH scenes."""
 
 
 class Fragments(PairFiles):
     """The pairs that the ``gt.log`` of a scene lists, or of every scene in a folder.
 
-    A scene is a folder of fragments ``cloud_bin_0.ply``, ``cloud_bin_1.ply``, ... Its log is ``gt.log`` in the
-    folder itself or in its sibling ``SCENE-evaluation``, as the public archive has it; where neither is there, the
-    only other ``*.log`` of the two. A block ``i j n`` of the log holds the matrix that takes points of fragment j into
-    the frame of fragment i, so here fragment j is the source, fragment i the target, and ``T_target_source`` the
-    matrix as it stands. Information comes from ``gt.info`` beside the log, where there is one.
+    A scene is a folder of fragments ``cloud_bin_0.ply``, ``cloud_bin_1.ply``, ..., or ``Hokuyo_0.ply``, ... as in the
+    ETH scenes of Gojcic et al., The Perfect Match, CVPR 2019, doi:10.1109/CVPR.2019.00569. Its log is ``gt.log`` in
+    the folder itself or in its sibling ``SCENE-evaluation``, as the public archive has it; where neither is there, the
+    only other ``*.log`` of the two. ``log`` names another one, such as that of 3DLoMatch. A block ``i j n`` of the log
+    holds the matrix that takes points of fragment j into the frame of fragment i, so here fragment j is the source,
+    fragment i the target, and ``T_target_source`` the matrix as it stands. Information comes from ``gt.info`` beside
+    the log, where there is one.
 
-    Items are ``ScanPair`` named ``SCENE__cloud_bin_j__cloud_bin_i``; ``pack_pairs`` is the ``collate_fn``. Zeng et
-    al., 3DMatch, CVPR 2017, doi:10.1109/CVPR.2017.29.
+    Items are ``ScanPair`` named by scene and fragments, ``SCENE__cloud_bin_j__cloud_bin_i``; ``pack_pairs`` is the
+    ``collate_fn``. Zeng et al., 3DMatch, CVPR 2017, doi:10.1109/CVPR.2017.29.
+
+    Attributes:
+        scenes: the scene of every pair, by its folder's name.
+        numbers: i and j of every pair, as its log has them: fragment j is the source.
 
     Args:
         folder: a scene, or a folder of scenes, which come in the order of their names.
+        log: which log to read. ``None``: ``gt.log`` as above. The name of a file in the scene or in its
+            ``-evaluation`` sibling, such as ``gt_lo.log``. Or a folder with ``SCENE/gt.log`` for every scene, as
+            3DMatch and 3DLoMatch come with Huang et al., Predator, CVPR 2021, doi:10.1109/CVPR46437.2021.00425. Its
+            information lies beside it under the same name with the suffix ``.info``.
         voxel_size: as for ``ScanPairs``, and so all that follow.
         viewpoint: as for ``ScanPairs``.
         dtype: as for ``ScanPairs``.
@@ -48,6 +60,7 @@ class Fragments(PairFiles):
         self,
         folder: str | os.PathLike[str],
         *,
+        log: str | os.PathLike[str] | None = None,
         voxel_size: float | None = None,
         viewpoint: Viewpoint = "auto",
         dtype: torch.dtype = torch.float32,
@@ -59,7 +72,9 @@ class Fragments(PairFiles):
             voxel_size=voxel_size, viewpoint=viewpoint, dtype=dtype, colors=colors, normals=normals, device=device
         )
         expect(Path(folder).is_dir(), "folder", "a folder that exists", os.fspath(folder))
-        pairs = [pair for scene in _scenes(Path(os.path.abspath(folder))) for pair in _pairs(scene)]
+        pairs = [pair for scene in _scenes(Path(os.path.abspath(folder))) for pair in _pairs(scene, log)]
+        self.scenes = tuple(source.parent.name for source, _, _, _ in pairs)
+        self.numbers = tuple((entry.i, entry.j) for _, _, entry, _ in pairs)
         super().__init__(
             sources=[source for source, _, _, _ in pairs],
             targets=[target for _, target, _, _ in pairs],
@@ -81,34 +96,48 @@ def _scenes(folder: Path) -> list[Path]:
 
 
 def _is_scene(folder: Path) -> bool:
-    if any(folder.glob("cloud_bin_*.ply")):
+    if any(any(folder.glob(name.format("*"))) for name in _FRAGMENTS):
         return True
     scene = folder.name.removesuffix(_EVALUATION)
     is_partner = scene != folder.name and folder.with_name(scene).is_dir()
     return (folder / "gt.log").exists() and not is_partner
 
 
-def _log(scene: Path) -> Path:
+def _log(scene: Path, wanted: str | os.PathLike[str] | None) -> Path:
     """Where the true motions of a scene stand."""
-    places = (scene, scene.with_name(scene.name + _EVALUATION))
+    beside = scene.with_name(scene.name + _EVALUATION)
+    places, name = (scene, beside), "gt.log"
+    if wanted is not None and Path(wanted).is_dir():
+        places = (Path(wanted) / scene.name, Path(wanted) / beside.name)
+    elif wanted is not None:
+        name = os.fspath(wanted)
+        plain = name == Path(name).name
+        expect(plain, "log", "the name of a file in each scene, or a folder that exists", name)
     for place in places:
-        if (place / "gt.log").exists():
-            return place / "gt.log"
+        if (place / name).is_file():
+            return place / name
+    if wanted is not None:
+        raise CloudFileError(f"{scene}: expected {places[0] / name} or {places[1] / name}, got neither")
     others = [log for place in places for log in sorted(place.glob("*.log"))]
     if len(others) != 1:
         received = ", ".join(log.name for log in others) or "none"
-        raise CloudFileError(f"{scene}: expected gt.log in it or in {places[1].name} beside it, got {received}")
+        raise CloudFileError(f"{scene}: expected gt.log in it or in {beside.name} beside it, got {received}")
     return others[0]
 
 
-def _pairs(scene: Path) -> list[tuple[Path, Path, LogEntry, Tensor | None]]:
+def _fragments(scene: Path) -> str:
+    """How the fragments of a scene are called."""
+    return next((name for name in _FRAGMENTS if any(scene.glob(name.format("*")))), _FRAGMENTS[0])
+
+
+def _pairs(scene: Path, wanted: str | os.PathLike[str] | None) -> list[tuple[Path, Path, LogEntry, Tensor | None]]:
     """Source, target, motion and information of every pair of a scene."""
-    log = _log(scene)
+    log, called = _log(scene, wanted), _fragments(scene)
     info = log.with_suffix(".info")
     information = read_redwood_info(info) if info.exists() else None
     pairs = []
     for entry in read_redwood_log(log):
-        source, target = (scene / f"cloud_bin_{number}.ply" for number in (entry.j, entry.i))
+        source, target = (scene / called.format(number) for number in (entry.j, entry.i))
         where = f"{log}, line {entry.line}"
         for fragment in (target, source):
             if not fragment.is_file():

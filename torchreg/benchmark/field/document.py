@@ -8,9 +8,9 @@ from typing import NamedTuple
 from torchreg.benchmark.bootstrap import Interval
 from torchreg.benchmark.field import criteria
 from torchreg.benchmark.field.summary import Cell, Row, difference, groups, summarize
-from torchreg.benchmark.judge import MATCH_VOXELS
-from torchreg.benchmark.methods import NOT_HERE, Method
-from torchreg.benchmark.tables import csv_table, markdown_table
+from torchreg.benchmark.methods import Method
+from torchreg.benchmark.methods.words import how_and_gaps, nothing
+from torchreg.benchmark.tables import Table, csv_table, markdown_table
 
 BASE = "default"
 """The method that others are set against, pair by pair."""
@@ -33,14 +33,6 @@ class Findings(NamedTuple):
     methods: Sequence[Method]
     gaps: Mapping[str, str]
     seed: int = 0
-
-
-class Table(NamedTuple):
-    """One table, with what stands above it."""
-
-    heading: str
-    head: list[str]
-    rows: list[list[str]]
 
 
 def tables(findings: Findings) -> list[Table]:
@@ -69,13 +61,7 @@ def markdown(findings: Findings, machine: str) -> str:
     parts = ["# The field on real pairs", CAPTION]
     for table in tables(findings):
         parts += [f"## {table.heading}", markdown_table(table.head, table.rows)]
-    said = [f"- {method.title} (`{method.name}`): {method.statement}" for method in findings.methods]
-    parts += ["## How each was run", "\n".join(said)]
-    gaps = [
-        f"- {method.title}: {findings.gaps[method.name]}" for method in findings.methods if _absent(findings, method)
-    ]
-    gaps += [f"- {name}: {why}" for name, why in NOT_HERE.items()]
-    parts += ["## What is missing", "\n".join(gaps)]
+    parts += how_and_gaps(findings.methods, findings.gaps)
     return "\n\n".join([*parts, machine]) + "\n"
 
 
@@ -91,16 +77,18 @@ def csv_text(findings: Findings) -> str:
     return csv_table(head, lines)
 
 
+_NEAR = f"{criteria.MATCH_VOXELS:g} v under the truth"
+
 CAPTION = (
-    "Every method gets the same clouds, means over voxels of each pair's edge v, and the same lengths: normals 2 v / 30 "
-    "neighbors, FPFH 5 v / 100 neighbors, inlier threshold 1.5 v.\n\n"
-    f"Found by errors: RRE below {criteria.ROTATION:g} degrees and RTE below {criteria.TRANSLATION_VOXELS:g} v. Found by "
-    f"RMSE: below {criteria.RMSE_VOXELS:g} v over the source points that have a partner within {MATCH_VOXELS:g} v under "
-    "the truth. Both whatever the method says of its success; where it is wrong on that, the last columns count it. "
-    f"Inlier ratio: share of the matches within {MATCH_VOXELS:g} v under the truth. Feature-match recall: share of "
-    f"pairs where it is above {criteria.MATCHED:g}. At v = 5 cm these are 3DMatch's 0.3 m, 0.2 m and 0.1 m.\n\n"
-    "In brackets: 95 % percentile intervals of 10,000 bootstrap samples of pairs; where all pairs agree they say "
-    "nothing. Seconds: from the clouds to the pose."
+    "Every method gets the same clouds, means over voxels of each pair's edge v, and the same lengths: normals 2 v / "
+    "30 neighbors, FPFH 5 v / 100 neighbors, inlier threshold 1.5 v.\n\n"
+    f"Found by errors: RRE below {criteria.ROTATION:g} degrees and RTE below {criteria.TRANSLATION_VOXELS:g} v. Found "
+    f"by RMSE: below {criteria.RMSE_VOXELS:g} v over the source points that have a partner within {_NEAR}. Both "
+    "whatever the method says of its success; where it is wrong on that, the last columns count it. Inlier ratio: "
+    f"share of the matches within {_NEAR}. Feature-match recall: share of pairs where it is above "
+    f"{criteria.MATCHED:g}. At v = 5 cm these are 3DMatch's 0.3 m, 0.2 m and 0.1 m.\n\n"
+    "In brackets: 95 % percentile intervals of 10,000 bootstrap samples of pairs, none where all pairs "
+    "agree. Seconds: from the clouds to the pose."
 )
 
 
@@ -121,7 +109,7 @@ def _overall(findings: Findings, cells: dict[tuple[str, str], Cell], group: str)
     for method in findings.methods:
         cell = cells.get((group, method.name))
         if cell is None:
-            rows.append([method.title, *_nothing(findings, method, len(head) - 1)])
+            rows.append([method.title, *nothing(method, findings.gaps, len(head) - 1)])
             continue
         texts = [_text(getattr(cell, measure), measure) for measure in _MEASURES]
         counts = [str(getattr(cell, count)) for count in _COUNTS]
@@ -139,7 +127,7 @@ def _by_group(findings: Findings, cells: dict[tuple[str, str], Cell], measure: s
     for method in findings.methods:
         own = [cells.get((group, method.name)) for group in parts]
         if all(cell is None for cell in own):
-            rows.append([method.title, *_nothing(findings, method, len(parts))])
+            rows.append([method.title, *nothing(method, findings.gaps, len(parts))])
             continue
         rows.append([method.title, *("-" if cell is None else _text(getattr(cell, measure), measure) for cell in own)])
     return Table(heading, ["method", *(f"{group} ({sizes[group]})" for group in parts)], rows)
@@ -158,18 +146,10 @@ def _differences(findings: Findings) -> Table:
     return Table(f"Recall by errors less that of {title}, pair by pair", ["method", "difference"], rows)
 
 
-def _nothing(findings: Findings, method: Method, width: int) -> list[str]:
-    said = "not installed" if _absent(findings, method) else "not run"
-    return [said, *["-"] * (width - 1)]
-
-
-def _absent(findings: Findings, method: Method) -> bool:
-    return bool(findings.gaps.get(method.name))
-
-
 def _text(interval: Interval | None, measure: str) -> str:
     if interval is None:
         return "-"
     digits = {"inlier_ratio": 3, "rte_m": 3, "rre_deg": 2}.get(measure, 2)
     sign = "+" if measure == "difference" else ""
-    return f"{interval.value:{sign}.{digits}f} [{interval.low:{sign}.{digits}f}, {interval.high:{sign}.{digits}f}]"
+    value, low, high = (f"{number:{sign}.{digits}f}" for number in interval)
+    return value if low == high else f"{value} [{low}, {high}]"

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from torchreg.benchmark.field.criteria import MATCH_VOXELS
 from torchreg.benchmark.field.document import Findings, csv_text, markdown
-from torchreg.benchmark.judge import judged
 from torchreg.benchmark.machine import in_words, machine
-from torchreg.benchmark.methods import METHODS, Method, Task, chosen_methods
+from torchreg.benchmark.measure import Item, Report, key_of, measure
+from torchreg.benchmark.methods import METHODS, chosen_methods
 from torchreg.benchmark.real_pairs import RealPair, read_real_pairs
 from torchreg.benchmark.rows import Rows
 from torchreg.errors import expect
 from torchreg.io import read_cloud
 from torchreg.io.atomic import atomic_write
-from torchreg.preprocess import voxel_downsample
-from torchreg.types import Clouds
-
-Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +29,7 @@ class Session:
         out: the folder of results; made where it is not there.
         methods: their names; ``None`` takes all.
         scenes: whose pairs are taken; ``None`` takes all.
-        quick: of every scene, only the pair that overlaps most.
+        quick: of every scene, only the pair that overlaps most; slow methods only where they are named.
         device: where this library's own methods compute.
         seed: of every random draw and of the intervals.
     """
@@ -82,7 +76,7 @@ class Session:
             ValueError: unknown names, or the folder holds results of other settings.
             CloudFileError: a file that cannot be read.
         """
-        methods = chosen_methods(self.methods)
+        methods = chosen_methods(self.methods, quick=self.quick)
         pairs = self.pairs()
         self.out.mkdir(parents=True, exist_ok=True)
         facts = machine()
@@ -91,37 +85,12 @@ class Session:
         for name, why in gaps.items():
             report(f"{METHODS[name].title} is left out: {why}")
         here = [method for method in methods if method.name not in gaps]
-        self._measure(pairs, here, rows, report)
-        keys = [key_of(pair, method) for pair in pairs for method in methods]
+        items = [_item(pair) for pair in pairs]
+        measure(items, here, rows, seed=self.seed, device=self.device, report=report)
+        keys = [key_of(item, method) for item in items for method in methods]
         findings = Findings([rows[key] for key in keys if key in rows], methods, gaps, self.seed)
         self._write(findings, facts)
         return findings
-
-    def _measure(self, pairs: Sequence[RealPair], methods: Sequence[Method], rows: Rows, report: Report) -> None:
-        warm: set[str] = set()
-        clouds: dict[Path, Clouds] = {}
-        for number, pair in enumerate(pairs, start=1):
-            missing = [method for method in methods if key_of(pair, method) not in rows]
-            if not missing:
-                continue
-            for file in {*clouds} - {pair.source, pair.target}:
-                del clouds[file]
-            for file in (pair.source, pair.target):
-                if file not in clouds:
-                    clouds[file] = voxel_downsample(read_cloud(file), pair.voxel)
-            task = Task(
-                source=clouds[pair.source],
-                target=clouds[pair.target],
-                voxel=pair.voxel,
-                seed=self.seed,
-                device=self.device,
-            )
-            for method in missing:
-                report(f"pair {number} of {len(pairs)}, {pair.name}: {method.title}")
-                if method.name not in warm:
-                    judged(method, _few_points(task), torch.eye(4, dtype=torch.float64))
-                    warm.add(method.name)
-                rows.add({**_facts(pair, method, task), **judged(method, task, pair.T_target_source)})
 
     def _write(self, findings: Findings, facts: dict[str, Any]) -> None:
         whole = {
@@ -148,25 +117,12 @@ class Session:
         return {**versions, "pairs": digest, "seed": self.seed, "device": self.device}
 
 
-def key_of(pair: RealPair, method: Method) -> str:
-    """The name of a row."""
-    return f"{pair.name}/{method.name}"
-
-
-def _facts(pair: RealPair, method: Method, task: Task) -> dict[str, Any]:
-    return {
-        "key": key_of(pair, method),
-        "pair": pair.name,
-        "scene": pair.scene,
-        "overlap": pair.overlap,
-        "voxel_m": pair.voxel,
-        "points": [len(task.source.points), len(task.target.points)],
-        "method": method.name,
-        "version": method.version(),
-    }
-
-
-def _few_points(task: Task) -> Task:
-    """The source onto itself at four times the voxel: what a first call alone takes is not counted."""
-    cloud = voxel_downsample(task.source, 4 * task.voxel)
-    return Task(source=cloud, target=cloud, voxel=4 * task.voxel, seed=task.seed, device=task.device)
+def _item(pair: RealPair) -> Item:
+    return Item(
+        name=pair.name,
+        facts={"scene": pair.scene, "overlap": pair.overlap},
+        read=lambda: (read_cloud(pair.source), read_cloud(pair.target)),
+        voxel=pair.voxel,
+        near=MATCH_VOXELS * pair.voxel,
+        T_true=pair.T_target_source,
+    )

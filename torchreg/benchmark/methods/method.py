@@ -86,6 +86,7 @@ class Method:
         run: answers a task; an exception is counted as a pair not found.
         module: what it imports beyond this library's own dependencies, or an empty text.
         package: the name under which pip knows that.
+        slow: takes minutes on an easy pair; quick runs leave it out unless it is named.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Method:
     run: Callable[[Task], Answer]
     module: str = ""
     package: str = ""
+    slow: bool = False
 
     def gap(self) -> str:
         """Why this method cannot be run here, or an empty text."""

@@ -62,6 +62,7 @@ def _ransac(hypotheses: int, confidence: float) -> Method:
         title=f"Open3D RANSAC, {hypotheses:,}" + (", no early end" if every else ""),
         statement=f"FPFH, mutual matches (one-way where they are few), RANSAC of {said}, confidence {confidence:g}.",
         run=run,
+        slow=every,
     )
 
 

@@ -27,14 +27,14 @@ NOT_HERE: dict[str, str] = {
 """What might be expected beside these, and why it is not."""
 
 
-def chosen_methods(names: Sequence[str] | None) -> tuple[Method, ...]:
-    """Methods by name in the order of ``METHODS``; ``None`` takes all.
+def chosen_methods(names: Sequence[str] | None, *, quick: bool = False) -> tuple[Method, ...]:
+    """Methods by name in the order of ``METHODS``; ``None`` takes all, or with ``quick`` those that are not slow.
 
     Raises:
         ValueError: a name that no method has, or none at all.
     """
     if names is None:
-        return tuple(METHODS.values())
+        return tuple(method for method in METHODS.values() if not (quick and method.slow))
     expect(len(names) > 0, "methods", "at least one", names)
     for name in names:
         expect(name in METHODS, "methods", "names out of " + ", ".join(METHODS), name)

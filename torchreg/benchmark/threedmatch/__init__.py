@@ -1,0 +1,1 @@
+"""The protocol of 3DMatch on folders of fragments: recall by the information matrix, scene by scene."""
