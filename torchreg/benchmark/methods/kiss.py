@@ -16,6 +16,8 @@ from torchreg.geometry.se3 import rigid
 from torchreg.types import Correspondences
 
 MODULE = "kiss_matcher"
+_LEAST = 50
+"""Points; on a dozen, none of which it can describe, the library ends the process."""
 
 
 def kiss_solve(source: Tensor, target: Tensor, threshold: float) -> Tensor:
@@ -40,6 +42,8 @@ def kiss_register(task: Task) -> Answer:
     """The whole of it with its defaults at this voxel size; the clouds are means over voxels already."""
     import kiss_matcher
 
+    if min(len(task.source.points), len(task.target.points)) < _LEAST:
+        return nothing_found()
     config = kiss_matcher.KISSMatcherConfig(voxel_size=task.voxel, use_voxel_sampling=False)
     matcher = kiss_matcher.KISSMatcher(config)
     said = matcher.estimate(_points(task.source.points), _points(task.target.points))

@@ -1,0 +1,49 @@
+"""``torchreg bench``: its commands end to end on made-up scans."""
+
+from folders import block
+from problems import room_pair
+from real_folders import project
+
+import torchreg as tr
+
+
+def test_field(run, tmp_path):
+    (tmp_path / "data").mkdir()
+    data = project(tmp_path / "data")
+    out = tmp_path / "out"
+    result = run(
+        "bench", "field", "--data", data / "pairs.json", "--out", out, "--methods", "fpfh,open3d-100k", "--quick"
+    )
+    assert result.exit_code == 0, result.output
+    assert "Open3D RANSAC, 100,000" in result.stdout
+    assert "pair 2 of 2, pair_2" in result.stderr
+    text = (out / "field.md").read_text()
+    assert "torchreg, FPFH alone (`fpfh`)" in text
+    again = run("bench", "field", "--data", data, "--out", out, "--methods", "fpfh,open3d-100k", "--quick")
+    assert "pair 2 of 2" not in again.stderr
+    assert (out / "field.md").read_text() == text
+    unknown = run("bench", "field", "--data", data, "--out", out, "--methods", "best")
+    assert unknown.exit_code == 2
+    assert "kiss-matcher" in unknown.stderr
+    assert run("bench", "field", "--data", tmp_path / "no.json", "--out", out).exit_code == 2
+
+
+def test_3dmatch(run, tmp_path):
+    scene = tmp_path / "data" / "hall"
+    scene.mkdir(parents=True)
+    pair = room_pair(1500, seed=3)
+    tr.write_cloud(scene / "cloud_bin_0.ply", pair.target)
+    tr.write_cloud(scene / "cloud_bin_2.ply", pair.source)
+    (scene / "gt.log").write_text(block(0, 2, 3, pair.T_target_source[0]))
+    out = tmp_path / "out"
+    words = ("bench", "3dmatch", tmp_path / "data", "--out", out, "--methods", "fpfh", "--voxel", "0.15")
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    assert "Registration recall" in result.stdout
+    assert "hall (1)" in result.stdout
+    text = (out / "3dmatch.md").read_text()
+    assert "torchreg, FPFH alone (`fpfh`)" in text
+    assert "voxels of 0.15 m" in text
+    assert run(*words, "--seed", "1").exit_code == 2
+    assert run(*words, "--log", "no.log").exit_code == 2
+    assert run("bench", "3dmatch", tmp_path / "nowhere", "--out", out).exit_code == 2
