@@ -22,6 +22,8 @@ from readme import put_into_readme
 from torch import Tensor
 
 import torchreg as tr
+from torchreg.benchmark.methods import METHODS, NOT_HERE
+from torchreg.benchmark.methods.kiss import kiss_solve
 from torchreg.datasets import MatchProblem, match_problem
 from torchreg.open3d_loader import load_open3d
 
@@ -69,15 +71,7 @@ def open3d_ransac(problem: MatchProblem) -> Tensor:
 
 
 def kiss_matcher(problem: MatchProblem) -> Tensor:
-    import kiss_matcher as kiss  # not a dependency; the bench goes on without it
-
-    # both noise bounds of the solver are the threshold
-    solver = kiss.KISSMatcher(kiss.KISSMatcherConfig(voxel_size=THRESHOLD, solver_noise_bound_gain=1.0))
-    said = solver.prune_and_solve(*(list(side.numpy().astype(np.float32)) for side in matched_points(problem)))
-    T = torch.eye(4, dtype=torch.float64)
-    T[:3, :3] = torch.from_numpy(np.array(said.rotation))
-    T[:3, 3] = torch.from_numpy(np.array(said.translation).ravel())
-    return T[None]
+    return kiss_solve(*matched_points(problem), THRESHOLD)[None]
 
 
 def matched_points(problem: MatchProblem) -> tuple[Tensor, Tensor]:
@@ -92,11 +86,10 @@ def solvers() -> tuple[dict[str, Solver], dict[str, str]]:
         "torchreg RANSAC": torchreg_ransac,
         "Open3D RANSAC": open3d_ransac,
     }
-    left_out = {"TEASER++": "does not install: PyPI has no package teaserpp-python"}
-    try:
-        import kiss_matcher as kiss  # noqa: F401
-    except ImportError as problem:
-        left_out["KISS-Matcher"] = f"does not install: {problem}"
+    left_out = {"TEASER++": NOT_HERE["TEASER++"].removesuffix(".")}
+    gap = METHODS["kiss-matcher"].gap()
+    if gap:
+        left_out["KISS-Matcher"] = gap
     else:
         found["KISS-Matcher"] = kiss_matcher
     return found, left_out
