@@ -144,6 +144,8 @@ def test_scenes_and_quick_runs(tmp_path, data):
     assert names(scenes=("yard",)) == ["pair_2"]
     with refuses("scenes", "hall, yard", "'attic'"):
         names(scenes=("attic",))
+    with refuses("scenes", "at least one"):
+        names(scenes=())
 
 
 def test_the_same_rows_the_same_tables():

@@ -165,6 +165,8 @@ def test_scenes_and_quick_runs(tmp_path, folder):
     assert names(scenes=("other",)) == ["other__cloud_bin_2__cloud_bin_0"]
     with refuses("scenes", "'attic'"):
         names(scenes=("attic",))
+    with refuses("scenes", "at least one"):
+        names(scenes=())
 
 
 def test_counts_by_hand():

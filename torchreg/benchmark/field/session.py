@@ -52,6 +52,7 @@ class Session:
         listed = read_real_pairs(self.data)
         known = list(dict.fromkeys(pair.scene for pair in listed))
         wanted = known if self.scenes is None else self.scenes
+        expect(len(wanted) > 0, "scenes", "at least one", wanted)
         for scene in wanted:
             expect(scene in known, "scenes", "scenes out of " + ", ".join(known), scene)
         chosen = tuple(pair for pair in listed if pair.scene in wanted)

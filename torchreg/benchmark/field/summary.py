@@ -52,11 +52,11 @@ class Cell(NamedTuple):
 def groups(rows: Sequence[Row]) -> list[Group]:
     """All pairs, then those of every scene, then those of every range of overlap that has some."""
     found: list[Group] = [("all pairs", lambda _: True)]
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        found.append((scene, lambda row, scene=scene: row["scene"] == scene))  # type: ignore[misc]
+    found += [(scene, _of_scene(scene)) for scene in dict.fromkeys(row["scene"] for row in rows)]
     for name, low, high in OVERLAPS:
-        if any(low <= row["overlap"] < high for row in rows):
-            found.append((name, lambda row, low=low, high=high: low <= row["overlap"] < high))  # type: ignore[misc]
+        belongs = _of_overlap(low, high)
+        if any(map(belongs, rows)):
+            found.append((name, belongs))
     return found
 
 
@@ -84,6 +84,14 @@ def difference(rows: Sequence[Row], base: Sequence[Row], seed: int = 0) -> Inter
     other = {row["pair"]: found_by_errors(row) for row in base}
     both = [float(found_by_errors(row)) - other[row["pair"]] for row in rows if row["pair"] in other]
     return bootstrap(both, seed=seed) if both else None
+
+
+def _of_scene(scene: str) -> Callable[[Row], bool]:
+    return lambda row: bool(row["scene"] == scene)
+
+
+def _of_overlap(low: float, high: float) -> Callable[[Row], bool]:
+    return lambda row: bool(low <= row["overlap"] < high)
 
 
 def _known(values: Iterable[float | None], statistic: Callable[[Any], Any], seed: int) -> Interval | None:

@@ -57,6 +57,7 @@ class Session:
         dataset = Fragments(self.folder, log=self.log)
         known = list(dict.fromkeys(dataset.scenes))
         wanted = known if self.scenes is None else self.scenes
+        expect(len(wanted) > 0, "scenes", "at least one", wanted)
         for scene in wanted:
             expect(scene in known, "scenes", "scenes out of " + ", ".join(known), scene)
         chosen = [_item(dataset, k, self.voxel) for k, scene in enumerate(dataset.scenes) if scene in wanted]
