@@ -20,9 +20,9 @@ NOT_HERE: dict[str, str] = {
     "SDRSAC": "PyPI lists it (sdrsac) without a file that can be installed.",
     "probreg": "PyPI has its source alone, no wheel; its methods also need a first guess.",
     "GRIP": "gripcd needs pytorch3d, of which PyPI has no wheel.",
-    "CliReg": "its wheel (clireg 1.0.4) takes all logging to standard output and answers these clouds, features and "
-    "thresholds with an empty graph of matches.",
-    "Occulus": "its FPFH is a loop over points in Python, minutes a cloud; its RANSAC takes no seed.",
+    "CliReg": "its wheel (clireg 1.0.4) logs to standard output, and on scans of this kind, with these features and "
+    "thresholds, it ends with too small a graph of matches.",
+    "Occulus": "its FPFH and its RANSAC are loops in Python that never end early, and it takes no seed.",
 }
 """What might be expected beside these, and why it is not."""
 
