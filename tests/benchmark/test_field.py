@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import pytest
 import torch
@@ -15,6 +16,8 @@ from torchreg.benchmark.field.session import Session
 from torchreg.benchmark.field.summary import difference, groups, summarize
 from torchreg.benchmark.real_pairs import read_real_pairs
 from torchreg.geometry.se3 import rigid
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
 
 def row(pair, method="a", **more):
@@ -153,3 +156,14 @@ def test_the_same_rows_the_same_tables():
     one, other = (Findings(ROWS, methods, {}, seed=seed) for seed in (0, 0))
     assert markdown(one, "here") == markdown(other, "here")
     assert csv_text(one) == csv_text(other)
+
+
+@pytest.mark.real
+def test_a_pair_of_real_scans(tmp_path):
+    if not REAL.is_dir():
+        pytest.skip(f"the real pairs are not there: {REAL}")
+    names = ("open3d-100k", "fast")
+    findings = Session(data=REAL, out=tmp_path / "out", scenes=("redkitchen",), methods=names, quick=True).run()
+    assert {(row["method"], row["pair"]) for row in findings.rows} == {(name, "redkitchen_19_05") for name in names}
+    assert [cells[2:4] for cells in tables(findings)[0].rows] == [["1.00", "1.00"]] * 2
+    assert all(row["inlier_ratio"] > 0.4 for row in findings.rows)
