@@ -197,7 +197,7 @@ def test_some_points_stand_in_one_scan_only():
     [
         ({"seed": -1}, "seed: expected an integer of at least 0, got -1"),
         ({"seed": 1.5}, "seed: expected an integer of at least 0, got 1.5"),
-        ({"baseline": 0.0}, r"baseline: expected meters in \[0.1, 16\], got 0.0"),
+        ({"baseline": -0.1}, r"baseline: expected meters in \[0, 16\], got -0.1"),
         ({"baseline": 20.0}, "baseline: expected"),
         ({"angular_step": 0.0}, "angular_step: expected"),
         ({"angular_step": float("nan")}, "angular_step: expected degrees .* got nan"),

@@ -12,6 +12,7 @@ from torchreg.datasets.mall import mall
 from torchreg.datasets.matches import MatchProblem, match_problem
 from torchreg.datasets.pair import ScanPair
 from torchreg.datasets.pair_batch import ScanPairBatch, pack_pairs
+from torchreg.datasets.road import road
 from torchreg.datasets.scan_pairs import ScanPairs
 
 __all__ = [
@@ -25,4 +26,5 @@ __all__ = [
     "mall",
     "match_problem",
     "pack_pairs",
+    "road",
 ]

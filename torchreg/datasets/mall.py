@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import torch
 
 from torchreg.datasets.furnishing import furnish
 from torchreg.datasets.hall import HallPlan, ceiling, columns, draw_plan, end_wall, floor
@@ -18,11 +17,10 @@ from torchreg.datasets.pair import ScanPair
 from torchreg.datasets.scene.arrays import Array
 from torchreg.datasets.scene.light import Light
 from torchreg.datasets.scene.quads import Quads, up
-from torchreg.datasets.scene.scanner import Scan, Scanner, pose, scan
+from torchreg.datasets.scene.scanner import Scanner
 from torchreg.datasets.scene.weather import exposed_camera, hall_light
 from torchreg.datasets.shops import bay
-from torchreg.errors import at_least, expect
-from torchreg.types.clouds import Clouds
+from torchreg.datasets.stations import check_options, scan_pair, two_stations
 
 # Each stage draws from a stream of its own, so that an option of one stage changes nothing in another.
 _PLAN, _BUILDING, _FURNITURE, _STATIONS, _WEATHER, _LIGHT, _CAMERAS, _NOISE = range(8)
@@ -43,7 +41,7 @@ def mall(
 
     Args:
         seed: which hall; at least 0.
-        baseline: meters between the two stations, in [0.1, 16].
+        baseline: meters between the two stations, in [0, 16]; 0 scans twice from one place, the scanner turned anew.
         angular_step: degrees between neighboring rays, in [0.05, 5]; the default gives some 280,000 points
             a scan.
         range_noise: meters, standard deviation of a range at 10 m on a surface that faces the scanner, in
@@ -64,40 +62,28 @@ def mall(
         >>> pair.source.points.shape[1], pair.T_target_source.shape
         (3, torch.Size([4, 4]))
     """
-    at_least(seed, "seed", 0)
-    _expect_within(baseline, "baseline", "meters", 0.1, 16)
-    _expect_within(angular_step, "angular_step", "degrees", 0.05, 5)
-    _expect_within(range_noise, "range_noise", "meters", 0, 0.1)
-    _expect_within(relight, "relight", "a number", 0, 2)
+    check_options(seed, baseline, angular_step, range_noise, relight, farthest=16)
 
     def stream(stage: int) -> np.random.Generator:
         return np.random.default_rng((seed, stage))
 
     plan = draw_plan(stream(_PLAN))
     building = _building(plan, stream(_BUILDING))
-    stations = _stations(baseline, stream(_STATIONS))
+    at = stream(_STATIONS)
+    stations = two_stations(at.uniform((-1.5, -0.7, 1.5), (1.5, 0.7, 1.7)), baseline, at)
     contents = furnish(plan, stations, stream(_FURNITURE))
     weather = relight * float(stream(_WEATHER).choice([-1, 1]))
     lights = [_light(plan, sign * weather, stream(_LIGHT)) for sign in (1, -1)]
     scanner = Scanner(angular_step=angular_step, range_noise=range_noise)
     probes = _grid(plan, height=1.0)
-    cameras = stream(_CAMERAS)
-    scans = [
-        scan(
-            Quads.join([building, *contents[k]]),
-            lights[k],
-            exposed_camera(lights[k], probes, relight, cameras),
-            stations[k],
-            scanner,
-            seed=(seed, _NOISE, k),
-        )
-        for k in range(2)
-    ]
-    T_world_source, T_world_target = stations
-    return ScanPair(
-        source=_cloud(scans[0]),
-        target=_cloud(scans[1]),
-        T_target_source=torch.from_numpy(np.linalg.inv(T_world_target) @ T_world_source),
+    settings = stream(_CAMERAS)
+    return scan_pair(
+        [Quads.join([building, *seen]) for seen in contents],
+        lights,
+        [exposed_camera(light, probes, relight, settings) for light in lights],
+        stations,
+        scanner,
+        seed=(seed, _NOISE),
         name=f"mall-{seed}",
     )
 
@@ -109,18 +95,6 @@ def _building(plan: HallPlan, rng: np.random.Generator) -> Quads:
         parts += [bay(plan, rng).placed(x, side * plan.width / 2, yaw=yaw) for x in plan.bay_x]
         parts.append(end_wall(plan, rng).placed(side * plan.length / 2, 0, yaw=-side * math.pi / 2))
     return Quads.join(parts)
-
-
-def _stations(baseline: float, rng: np.random.Generator) -> list[Array]:
-    """``T_world_scanner`` (4, 4) of the two stations: near the middle, mostly along the hall."""
-    middle = rng.uniform((-1.5, -0.7, 1.5), (1.5, 0.7, 1.7))
-    apart = min(baseline, 4.0) * rng.uniform((-0.3, -0.03), (0.3, 0.03))  # across and up
-    half = 0.5 * np.array([math.sqrt(baseline**2 - apart @ apart), *apart])
-    stations = []
-    for position in (middle - half, middle + half):
-        yaw, tilt, tilt_heading = rng.uniform((-math.pi, 0, -math.pi), (math.pi, math.radians(2), math.pi))
-        stations.append(pose(position, yaw, tilt, tilt_heading))
-    return stations
 
 
 def _light(plan: HallPlan, weather: float, rng: np.random.Generator) -> Light:
@@ -136,16 +110,3 @@ def _grid(plan: HallPlan, height: float) -> Array:
     """Places (24, 3) spread over the hall."""
     x, y = np.meshgrid(np.linspace(-0.4, 0.4, 6) * plan.length, np.linspace(-0.4, 0.4, 4) * plan.width)
     return np.stack((x, y, 0 * x + height), axis=-1).reshape(-1, 3)
-
-
-def _cloud(scanned: Scan) -> Clouds:
-    return Clouds(
-        points=torch.from_numpy(scanned.points.astype(np.float32)),
-        colors=torch.from_numpy(scanned.colors).to(torch.float32) / 255,
-        viewpoint=torch.zeros(1, 3),
-    )
-
-
-def _expect_within(value: float, name: str, unit: str, low: float, high: float) -> None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    expect(number and low <= value <= high, name, f"{unit} in [{low}, {high}]", value)

@@ -1,12 +1,13 @@
 """Light on surfaces, and the camera that turns it into 8-bit colors.
 
-Irradiance is the sum of an even ambient part, of lamps, of a window to the sky in the ceiling, and of the sun.
+Irradiance is the sum of an even ambient part, of lamps, of a window to the sky in the ceiling, of the open sky, and
+of the sun.
 Its unit is arbitrary: 1 is a well-lit floor.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -18,25 +19,27 @@ DISPLAY_GAMMA = 2.2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Light:
-    """All light of a scene at one moment. Colors are linear RGB.
+    """All light of a scene at one moment. Colors are linear RGB; a source left out is not there.
 
     Attributes:
         ambient: (3,) light from all sides, after many reflections.
+        sun_direction: (3,) unit vector from the scene to the sun.
+        sun: (3,) irradiance of a surface that faces the sun.
         lamps: (M, 3) meters, in the frame of the scene.
         lamp_power: (M, 3) irradiance at one meter under the lamp.
         sky_center: (3,) meters, the middle of the skylight.
         sky_power: (3,) irradiance at one meter under it, were it a point.
-        sun_direction: (3,) unit vector from the scene to the sun.
-        sun: (3,) irradiance of a surface that faces the sun.
+        dome: (3,) irradiance of level ground under the open sky, which is equally bright in all directions.
     """
 
     ambient: Array
-    lamps: Array
-    lamp_power: Array
-    sky_center: Array
-    sky_power: Array
     sun_direction: Array
     sun: Array
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    sky_center: Array = field(default_factory=lambda: np.zeros(3))
+    sky_power: Array = field(default_factory=lambda: np.zeros(3))
+    dome: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,7 +70,7 @@ class Sight(Protocol):
 
 
 def irradiance(points: Array, normals: Array, light: Light, sight: Sight) -> Array:
-    """The light that falls on surfaces; the sun, the sky and the strongest lamp at each point cast shadows.
+    """The light that falls on surfaces; the sun, both skies and the strongest lamp at each point cast shadows.
 
     Args:
         points: (P, 3) meters, in the frame of the scene.
@@ -80,18 +83,15 @@ def irradiance(points: Array, normals: Array, light: Light, sight: Sight) -> Arr
     """
     # Floors and what faces the lamps pass light on upwards; walls get the mean.
     total = light.ambient * (1 + 0.15 * normals[:, 2:])
-    brightness = light.lamp_power.mean(axis=1)
-    strongest, which = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
-    for k, (position, power) in enumerate(zip(light.lamps, light.lamp_power, strict=True)):
-        share = _from_above(points, normals, position)
-        total += share[:, None] * power
-        which[share * brightness[k] > strongest] = k
-        np.maximum(strongest, share * brightness[k], out=strongest)
-    shaded = ~sight.reaches(points, light.lamps[which])
-    total -= (0.8 * shaded * strongest / brightness[which])[:, None] * light.lamp_power[which]
-    sky = _from_above(points, normals, light.sky_center) * sight.reaches(points, light.sky_center)
+    if len(light.lamps):
+        _add_lamps(total, points, normals, light, sight)
+    if light.sky_power.any():
+        sky = _from_above(points, normals, light.sky_center) * sight.reaches(points, light.sky_center)
+        total += sky[:, None] * light.sky_power
+    if light.dome.any():
+        total += _open_sky(points, normals, sight)[:, None] * light.dome
     sun = np.clip(normals @ light.sun_direction, 0, 1) * sight.escapes(points, light.sun_direction)
-    return np.asarray(total + sky[:, None] * light.sky_power + sun[:, None] * light.sun)
+    return np.asarray(total + sun[:, None] * light.sun)
 
 
 def develop(radiance: Array, camera: Camera, rng: np.random.Generator) -> Array:
@@ -108,6 +108,18 @@ def linear(color: Array) -> Array:
     return np.asarray(color**DISPLAY_GAMMA)
 
 
+def _add_lamps(total: Array, points: Array, normals: Array, light: Light, sight: Sight) -> None:
+    brightness = light.lamp_power.mean(axis=1)
+    strongest, which = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
+    for k, (position, power) in enumerate(zip(light.lamps, light.lamp_power, strict=True)):
+        share = _from_above(points, normals, position)
+        total += share[:, None] * power
+        which[share * brightness[k] > strongest] = k
+        np.maximum(strongest, share * brightness[k], out=strongest)
+    shaded = ~sight.reaches(points, light.lamps[which])
+    total -= (0.8 * shaded * strongest / brightness[which])[:, None] * light.lamp_power[which]
+
+
 def _from_above(points: Array, normals: Array, position: Array) -> Array:
     """Light from a panel that faces down, (P,): inverse square, and the cosine at both ends.
 
@@ -117,3 +129,24 @@ def _from_above(points: Array, normals: Array, position: Array) -> Array:
     square = np.einsum("pi,pi->p", way, way)
     facing, sent = np.clip(np.einsum("pi,pi->p", way, normals), 0, None), np.clip(way[:, 2], 0, None)
     return np.asarray(facing * sent / (square * (square + 0.3)))
+
+
+def _open_sky(points: Array, normals: Array, sight: Sight) -> Array:
+    """The part of an even sky's light that reaches surfaces, (P,); 1 on level ground in the open."""
+    total = np.zeros(len(points))
+    for way in _SKY_WAYS:
+        facing = normals @ way
+        rows = np.flatnonzero(facing > 0)
+        total[rows] += facing[rows] * sight.escapes(points[rows], way)
+    return np.asarray(total / _SKY_WAYS[:, 2].sum())
+
+
+def _spread_over_sky(count: int) -> Array:
+    """Unit vectors (count, 3) spread evenly over the upper hemisphere, on a golden spiral."""
+    height = (np.arange(count) + 0.5) / count
+    around = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    flat = np.sqrt(1 - height**2)
+    return np.stack((flat * np.cos(around), flat * np.sin(around), height), axis=1)
+
+
+_SKY_WAYS = _spread_over_sky(14)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from torchreg.datasets.scene.arrays import Array
 from torchreg.datasets.scene.palette import from_hsv
 
-PLAIN, TILES, PANELS, STRIPES, PLANKS, LETTERS, GOODS, POSTER = range(8)
+PLAIN, TILES, PANELS, STRIPES, PLANKS, LETTERS, GOODS, POSTER, BRICKS, PATCHES = range(10)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +189,28 @@ def _poster(look: Paint, uv: Array) -> Array:
     return np.asarray(block * (0.75 + 0.25 * (uv[:, :1] / look.scale[:, None] % 1)))
 
 
+def _bricks(look: Paint, uv: Array) -> Array:
+    """Courses of bricks three times as long as high, each of its own tone, with joints of the accent."""
+    course = _cell(uv[:, 1], look.scale)
+    u = uv[:, 0] + 1.5 * look.scale * (course % 2)
+    tone = 0.85 + 0.3 * _hash(_cell(u, 3 * look.scale), course, look.key)
+    joint = (u % (3 * look.scale) < 0.012) | (uv[:, 1] % look.scale < 0.012)
+    return _choose(joint, look.accent, look.color * tone[:, None])
+
+
+def _patches(look: Paint, uv: Array) -> Array:
+    """Both colors run into each other in patches of several sizes, as in a lawn or in worn asphalt."""
+    weight = np.zeros(len(uv))
+    for octave, share in enumerate((0.5, 0.3, 0.2)):
+        size = look.scale / 2**octave
+        x, y = uv[:, 0] / size, uv[:, 1] / size
+        i, j = _cell(x, 1.0), _cell(y, 1.0)
+        s, t = (3 * r**2 - 2 * r**3 for r in (x - i, y - j))
+        near, far = ((1 - s) * _hash(i, j + k, look.key) + s * _hash(i + 1, j + k, look.key) for k in (0, 1))
+        weight += share * ((1 - t) * near + t * far)
+    return np.asarray(look.color + weight[:, None] * (look.accent - look.color))
+
+
 _PATTERNS = {
     TILES: _tiles,
     PANELS: _panels,
@@ -197,4 +219,6 @@ _PATTERNS = {
     LETTERS: _letters,
     GOODS: _goods,
     POSTER: _poster,
+    BRICKS: _bricks,
+    PATCHES: _patches,
 }

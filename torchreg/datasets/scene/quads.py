@@ -119,6 +119,21 @@ def balls(center: npt.ArrayLike, radii: npt.ArrayLike, look: Paint, sides: int =
     return Quads(corners.reshape(-1, 4, 3), uv.reshape(-1, 4, 2), painted)
 
 
+def prism(profile: npt.ArrayLike, width: float, look: Paint) -> Quads:
+    """A convex profile (K, 2) in the xz plane, meters, drawn out along y to ``width`` about the plane; one paint."""
+    side = np.insert(np.asarray(profile, dtype=np.float64), 1, 0.0, axis=1)  # (K, 3)
+    half = np.array([0.0, width / 2, 0.0])
+    near, far = side - half, side + half
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.roll(side, -1, axis=0) - side, axis=1))))  # (K + 1,)
+    around = np.stack((near, np.roll(near, -1, axis=0), np.roll(far, -1, axis=0), far), axis=1)
+    across = np.broadcast_to((-width / 2, -width / 2, width / 2, width / 2), (len(side), 4))
+    around_uv = np.stack((np.stack((along[:-1], along[1:], along[1:], along[:-1]), axis=1), across), axis=2)
+    fan = np.array([(0, k, k + 1, k + 1) for k in range(1, len(side) - 1)])
+    corners = np.concatenate((around, near[fan], far[fan]))  # (3K - 4, 4, 3)
+    uv = np.concatenate((around_uv, side[fan][..., [0, 2]], side[fan][..., [0, 2]]))
+    return Quads(corners, uv, look.take(np.zeros(len(corners), dtype=np.int64)))
+
+
 def up(height: float) -> Array:
     """The vector (3,) of this many meters upwards."""
     return np.array([0.0, 0.0, height])

@@ -26,6 +26,7 @@ class Scanner:
         angular_step: degrees between neighboring rays, in azimuth and in elevation.
         lowest, highest: degrees of elevation; below is the blind cone with the tripod in it.
         min_range, max_range: meters.
+        sensitivity: 1 finds gray walls that face it up to some 40 m away; four times as much, twice as far.
         range_noise: meters, standard deviation on a surface 10 m away that faces the scanner.
         mixed_share: how many of the rays at a depth edge return a point between both surfaces.
         depth_edge: meters between neighboring rays from which on they count as a depth edge.
@@ -36,6 +37,7 @@ class Scanner:
     highest: float = 90.0
     min_range: float = 0.6
     max_range: float = 60.0
+    sensitivity: float = 1.0
     range_noise: float = 0.004
     mixed_share: float = 0.15
     depth_edge: float = 0.1
@@ -94,7 +96,7 @@ def scan(
     surface = linear(albedo(look, uv))
     radiance = surface * (irradiance(places, normals, light, caster) + look.glow[:, None])
 
-    came_back = hit & _strong_enough(surface.mean(axis=1), cosine, reach, rng)
+    came_back = hit & _strong_enough(scanner.sensitivity * (0.15 + surface.mean(axis=1)) * cosine, reach, rng)
     came_back &= (reach >= scanner.min_range) & (reach <= scanner.max_range)
     ranges, radiance = _mix_at_edges(reach, radiance, came_back, grid, scanner, rng)
     slant = 1 / np.sqrt(np.clip(cosine, 0.1, 1))
@@ -132,9 +134,9 @@ def pose(position: Array, yaw: float, tilt: float, tilt_heading: float) -> Array
     return T_world_scanner
 
 
-def _strong_enough(reflectance: Array, cosine: Array, reach: Array, rng: np.random.Generator) -> Array:
-    """Whether enough light returns, (P,) bool: little does from far, dark and slanted surfaces."""
-    strength = (0.15 + reflectance) * cosine * (20 / np.clip(reach, 5, None)) ** 2
+def _strong_enough(returned: Array, reach: Array, rng: np.random.Generator) -> Array:
+    """Whether enough light comes back, (P,) bool: little does from far, dark and slanted surfaces."""
+    strength = returned * (20 / np.clip(reach, 5, None)) ** 2
     threshold = 0.05 * np.exp(0.5 * rng.standard_normal(len(reach)))
     return np.asarray((strength > threshold) & (rng.random(len(reach)) > 0.005))
 

@@ -1,6 +1,8 @@
-"""The light in a hall with a skylight, between a cloudy and a sunny day, and how a camera is set for it."""
+"""Light between a cloudy and a sunny day, in a hall and in the open, and how a camera is set for it."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,7 +47,31 @@ def hall_light(
     )
 
 
-def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.Generator) -> Camera:
+def daylight(weather: float, rng: np.random.Generator) -> Light:
+    """Light in the open.
+
+    On a sunny day the sun casts sharp shadows, and a blue sky lights what lies in them; on a cloudy day an even gray
+    sky is all.
+
+    Args:
+        weather: 1 is a sunny day, -1 a cloudy one.
+        rng: draws where the sun stands; the same draws whatever the weather.
+    """
+    azimuth = rng.uniform(0, 2 * np.pi) + 0.4 * weather
+    elevation = np.deg2rad(rng.uniform(35, 60) + 5 * weather)
+    flat, bright = np.cos(elevation), max(0.0, 0.5 + 0.5 * weather)
+    blue = np.array([0.9 - 0.14 * weather, 1.0, 1.14 + 0.16 * weather])
+    return Light(
+        ambient=(0.12 + 0.1 * bright) * np.array([1.0, 0.98, 0.9]),
+        sun_direction=np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]),
+        sun=2.2 * bright * np.array([1.0, 0.94, 0.84]),
+        dome=0.8 * 2 ** (-0.3 * weather) * blue,
+    )
+
+
+def exposed_camera(
+    light: Light, probes: Array, relight: float, rng: np.random.Generator, sunlit: float = 0.1
+) -> Camera:
     """A camera whose exposure and white balance follow the light, with errors of its own.
 
     Args:
@@ -54,9 +80,11 @@ def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.G
         relight: the size of the errors in exposure, white balance and gamma; 0 makes all cameras in one
             light alike.
         rng: the same draws whatever ``relight``.
+        sunlit: the share of the sun's light that counts, as little is sunlit in a hall.
     """
     up = np.broadcast_to((0.0, 0.0, 1.0), probes.shape)
-    metered = irradiance(probes, up, light, _Unhindered()).mean(axis=0) + 0.1 * light.sun  # (3,)
+    sunless = replace(light, sun=np.zeros(3))
+    metered = irradiance(probes, up, sunless, _Unhindered()).mean(axis=0) + sunlit * light.sun  # (3,)
     exposure, gamma = np.exp(relight * np.array([0.15, 0.06]) * rng.standard_normal(2))
     balance = (metered.mean() / metered) ** 0.7  # cameras leave some of the tint
     return Camera(
@@ -67,10 +95,10 @@ def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.G
 
 
 class _Unhindered:
-    """Every lamp and the sky are seen; the sun is not."""
+    """Every lamp and all of the sky are seen."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
         return np.ones(len(points), dtype=bool)
 
     def escapes(self, points: Array, way: Array) -> Array:
-        return np.zeros(len(points), dtype=bool)
+        return np.ones(len(points), dtype=bool)

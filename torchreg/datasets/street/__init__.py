@@ -1,0 +1,1 @@
+"""What a simulated campus road is made of."""
