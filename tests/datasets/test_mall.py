@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scans import colors_of, in_target, nearest, same_bits, thinned
 
 from torchreg.datasets import ScanPair, mall
 from torchreg.datasets.scene.arrays import Array
@@ -21,40 +22,6 @@ STEP = 1.0
 @pytest.fixture(scope="module")
 def pair() -> ScanPair:
     return mall(0, angular_step=STEP)
-
-
-def colors_of(cloud: Clouds) -> torch.Tensor:
-    assert cloud.colors is not None
-    return cloud.colors
-
-
-def nearest(queries: Array, points: Array) -> tuple[Array, Array]:
-    """Index of and distance to the nearest of ``points`` for each query."""
-    o3d = load_open3d()
-    search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(np.ascontiguousarray(points)))
-    search.knn_index()
-    index, square = search.knn_search(o3d.core.Tensor(np.ascontiguousarray(queries)), 1)
-    return index.numpy()[:, 0], np.sqrt(square.numpy()[:, 0])
-
-
-def in_target(pair: ScanPair) -> Array:
-    R, t = pair.T_target_source[:3, :3], pair.T_target_source[:3, 3]
-    return (pair.source.points.double() @ R.T + t).float().numpy()
-
-
-def thinned(points: Array, voxel_size: float = 0.2) -> Array:
-    """Rows of one point per voxel."""
-    return np.unique(np.floor(points / voxel_size), axis=0, return_index=True)[1]
-
-
-def same_bits(a: ScanPair, b: ScanPair) -> bool:
-    return (
-        torch.equal(a.source.points, b.source.points)
-        and torch.equal(a.target.points, b.target.points)
-        and torch.equal(colors_of(a.source), colors_of(b.source))
-        and torch.equal(colors_of(a.target), colors_of(b.target))
-        and torch.equal(a.T_target_source, b.T_target_source)
-    )
 
 
 def test_types_and_frames(pair):

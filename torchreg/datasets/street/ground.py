@@ -30,11 +30,11 @@ def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
     count = int(rng.integers(3, 7))
     spots = rng.uniform((-30, -0.35 * plan.width), (30, 0.35 * plan.width), (count, 2))
     mended = paint(rng, rng.uniform(0.6, 0.85, (count, 1)) * gray)
-    edges = np.zeros((2, count, 3))
-    edges[0, :, 0], edges[1, :, 1] = rng.uniform(1, 5, count), rng.uniform(0.6, 1.6, count)
+    edge_u, edge_v = np.zeros((2, count, 3))
+    edge_u[:, 0], edge_v[:, 1] = rng.uniform(1, 5, count), rng.uniform(0.6, 1.6, count)
     parts = [
         rectangles((0, 0, 0), (reach, 0, 0), (0, reach, 0), asphalt),
-        rectangles(np.column_stack((spots, np.full(count, 0.003))), *edges, mended),
+        rectangles(np.column_stack((spots, np.full(count, 0.003))), edge_u, edge_v, mended),
     ]
     for side in SIDES:
         if plan.parking[side > 0]:
