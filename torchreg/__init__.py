@@ -48,7 +48,7 @@ from torchreg.types import (
 from torchreg.version import __version__
 
 if TYPE_CHECKING:
-    from torchreg import batch, datasets, learning, reference
+    from torchreg import augment, batch, datasets, learning, reference
 
 __all__ = [
     "PAPER",
@@ -63,6 +63,7 @@ __all__ = [
     "RegistrationOptions",
     "RegistrationResult",
     "__version__",
+    "augment",
     "batch",
     "compatibility",
     "compiled_kernels",
@@ -94,7 +95,7 @@ __all__ = [
     "write_cloud",
 ]
 
-_ON_FIRST_USE = ("batch", "datasets", "learning", "reference")
+_ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "reference")
 
 
 def __getattr__(name: str) -> ModuleType:

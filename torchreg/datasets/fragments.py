@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from torchreg.datasets.cloud_files import CloudReader
+from torchreg.datasets.pair import ScanPair
 from torchreg.datasets.pair_files import PairFiles
 from torchreg.errors import CloudFileError, expect
 from torchreg.io.placement import Viewpoint
@@ -49,6 +51,7 @@ class Fragments(PairFiles):
         colors: as for ``ScanPairs``.
         normals: as for ``ScanPairs``.
         device: as for ``ScanPairs``.
+        transform: as for ``ScanPairs``.
 
     Raises:
         CloudFileError: no fragments or no log, a log that cannot be read or is cut short, a matrix that is not
@@ -67,6 +70,7 @@ class Fragments(PairFiles):
         colors: bool | None = None,
         normals: bool | None = None,
         device: torch.device | str | None = None,
+        transform: Callable[[ScanPair], ScanPair] | None = None,
     ) -> None:
         reader = CloudReader(
             voxel_size=voxel_size, viewpoint=viewpoint, dtype=dtype, colors=colors, normals=normals, device=device
@@ -82,6 +86,7 @@ class Fragments(PairFiles):
             truths=[entry.T_i_j for _, _, entry, _ in pairs],
             information=[information for _, _, _, information in pairs],
             reader=reader,
+            transform=transform,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
@@ -25,6 +25,7 @@ class PairFiles(Dataset[ScanPair]):
             all pairs, since each tensor costs a file descriptor on its way to a spawned worker.
         information: (N, 6, 6) float64, NaN throughout where there is none; ``None`` where no pair has one.
         reader: how clouds are read.
+        transform: what each pair goes through once it is read, or ``None``.
     """
 
     def __init__(
@@ -35,9 +36,10 @@ class PairFiles(Dataset[ScanPair]):
         truths: Sequence[Tensor | None],
         information: Sequence[Tensor | None],
         reader: CloudReader,
+        transform: Callable[[ScanPair], ScanPair] | None = None,
     ) -> None:
         self.sources, self.targets, self.names = tuple(sources), tuple(targets), tuple(names)
-        self.reader = reader
+        self.reader, self.transform = reader, transform
         self.T_target_source = _stacked(truths, 4)
         self.information = None if all(one is None for one in information) else _stacked(information, 6)
 
@@ -45,18 +47,19 @@ class PairFiles(Dataset[ScanPair]):
         return len(self.names)
 
     def __getitem__(self, index: int) -> ScanPair:
-        """Read one pair; errors are those of ``CloudReader.read``."""
+        """Read one pair and transform it; errors are those of ``CloudReader.read`` and of the transform."""
         device = self.reader.device
         information = None if self.information is None else self.information[index]
         if information is not None and bool(information.isnan().all()):
             information = None
-        return ScanPair(
+        pair = ScanPair(
             source=self.reader.read(self.sources[index]),
             target=self.reader.read(self.targets[index]),
             T_target_source=self.T_target_source[index].to(device, copy=True),
             name=self.names[index],
             information=None if information is None else information.to(device, copy=True),
         )
+        return pair if self.transform is None else self.transform(pair)
 
     def clouds(self) -> CloudFiles:
         """The distinct clouds of all pairs, in the order in which they first come, sources before targets."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 
 import torch
 
 from torchreg.datasets.cloud_files import CloudReader
+from torchreg.datasets.pair import ScanPair
 from torchreg.datasets.pair_files import PairFiles
 from torchreg.errors import CloudFileError
 from torchreg.io import read_pairs_file
@@ -32,6 +34,7 @@ class ScanPairs(PairFiles):
         normals: likewise.
         device: where items go once they are read. Workers of a ``DataLoader`` refuse a GPU: there, leave it out
             and move each batch with ``batch.to(device)``.
+        transform: what each pair goes through once it is read, such as an ``augment.AugmentPair``.
 
     Raises:
         CloudFileError: the table cannot be read, or lists a cloud that is not there.
@@ -60,6 +63,7 @@ class ScanPairs(PairFiles):
         colors: bool | None = None,
         normals: bool | None = None,
         device: torch.device | str | None = None,
+        transform: Callable[[ScanPair], ScanPair] | None = None,
     ) -> None:
         reader = CloudReader(
             voxel_size=voxel_size, viewpoint=viewpoint, dtype=dtype, colors=colors, normals=normals, device=device
@@ -77,4 +81,5 @@ class ScanPairs(PairFiles):
             truths=[row.T_target_source for row in rows],
             information=[None] * len(rows),
             reader=reader,
+            transform=transform,
         )

@@ -1,0 +1,129 @@
+"""Changes of density: fewer points far from the scanner, or one point in every cube of a grid."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.augment.augmentation import Augmentation, Tracked, checked_range, uniform, unmoved
+from torchreg.augment.rows import count_of, kept_rows
+from torchreg.errors import expect, positive
+from torchreg.types import Clouds
+from torchreg.types.packing import offsets_of
+
+
+class RandomThin(Augmentation):
+    """Keeps a random choice of points, and exactly the share drawn: ``ceil(share * points)``, at least one.
+
+    Points are drawn one after another without replacement, each with a chance in proportion to r to the power of
+    ``-falloff``, r being its distance from the viewpoint (from the points' zero where that is not known): 0 thins
+    evenly, 2 as the beams of a scanner spread. Drawn by the least of exponential arrival times (Efraimidis and Spirakis,
+    2006, doi:10.1016/j.ipl.2005.11.003). Rows keep their order; gradients flow to the values of those that stay.
+
+    Args:
+        keep: the share of points that stays is drawn evenly from this range, in [0, 1].
+        falloff: is drawn evenly from this range, in [0, 4].
+        probability: as for ``Augmentation``.
+        generator: as for ``Augmentation``.
+
+    Raises:
+        ValueError: an argument out of its range.
+
+    Example:
+        >>> RandomThin(keep=(0.25, 0.25))(Clouds(torch.rand(100, 3))).lengths
+        [25]
+    """
+
+    def __init__(
+        self,
+        *,
+        keep: tuple[float, float] = (0.5, 1.0),
+        falloff: tuple[float, float] = (0.0, 2.0),
+        probability: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__(probability=probability, generator=generator)
+        self.keep = checked_range(keep, "keep", 0, 1)
+        self.falloff = checked_range(falloff, "falloff", 0, 4)
+
+    def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
+        """The cloud with the points that were drawn."""
+        count = count_of(uniform(*self.keep, draw), len(cloud.points))
+        falloff = uniform(*self.falloff, draw)
+        waiting = torch.empty(len(cloud.points), dtype=torch.float64).exponential_(generator=draw)
+        square = (cloud.points.detach().double() - _scanner(cloud)).square().sum(dim=1).clamp_min(1e-12)
+        arrival = waiting.to(cloud.device).log() + 0.5 * falloff * square.log()
+        return Tracked(kept_rows(cloud, arrival, count), unmoved(cloud))
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        return f"keep={self.keep}, falloff={self.falloff}, probability={self.probability}"
+
+
+class RandomVoxels(Augmentation):
+    """Keeps one point, drawn at random, in every cube of a grid of random size and place.
+
+    Unlike a mean, a kept point is one that was measured, and gradients flow to its values. Rows keep their order.
+    How many stay is read back from the device.
+
+    Args:
+        voxel_size: meters, the edge of the cubes is drawn evenly from this range, above 0.
+        probability: as for ``Augmentation``.
+        generator: as for ``Augmentation``.
+
+    Raises:
+        ValueError: an argument out of its range, or more than 2^20 cubes along an axis of a cloud.
+
+    Example:
+        >>> RandomVoxels(voxel_size=(5.0, 5.0))(Clouds(torch.rand(100, 3))).lengths[0] <= 8
+        True
+    """
+
+    def __init__(
+        self,
+        *,
+        voxel_size: tuple[float, float],
+        probability: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__(probability=probability, generator=generator)
+        self.voxel_size = checked_range(voxel_size, "voxel_size", 0, float("inf"))
+        for edge in self.voxel_size:
+            positive(edge, "voxel_size")
+
+    def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
+        """The cloud with one point a cube."""
+        size = uniform(*self.voxel_size, draw)
+        start = torch.rand(3, generator=draw, dtype=torch.float64).to(cloud.device)
+        shuffled = torch.randperm(len(cloud.points), generator=draw).to(cloud.device)
+        key = _cube(cloud.points.detach().double(), size, start)[shuffled]
+        ordered, order = key.sort(stable=True)
+        first = torch.ones_like(ordered, dtype=torch.bool)
+        first[1:] = ordered[1:] != ordered[:-1]
+        index = shuffled[order[first]].sort().values
+        return Tracked(cloud.rows(index, offsets_of([len(index)])), unmoved(cloud))
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        return f"voxel_size={self.voxel_size}, probability={self.probability}"
+
+
+def _scanner(cloud: Clouds) -> Tensor:
+    """Where the scanner stood, (1, 3) float64, or zeros where it is not known."""
+    zero = cloud.points.new_zeros(1, 3, dtype=torch.float64)
+    if cloud.viewpoint is None:
+        return zero
+    viewpoint = cloud.viewpoint.detach().double()
+    return torch.where(viewpoint.isfinite().all(), viewpoint, zero)
+
+
+def _cube(points: Tensor, size: float, start: Tensor) -> Tensor:
+    """A number (P,) int64 for the cube that each point lies in; ``start`` (3,) in [0, 1) shifts the grid, in cubes."""
+    cell = ((points - points.amin(dim=0)) / size + start).floor()
+    fits = bool((cell < _MOST_CUBES).all())
+    expect(fits, "voxel_size", f"finite points and at most {_MOST_CUBES} cubes along an axis", size)
+    x, y, z = cell.long().unbind(1)
+    return (x * _MOST_CUBES + y) * _MOST_CUBES + z
+
+
+_MOST_CUBES = 1 << 20
