@@ -10,7 +10,7 @@ from problems import random_transform
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.geometry.se3 import apply, apply_rotation, inverse, rigid
+from torchreg.geometry.se3 import apply, apply_rotation, compose, inverse, rigid
 
 EYE = torch.eye(4, dtype=torch.float64)
 
@@ -32,6 +32,18 @@ def test_inverse(seed):
     T = random_transform(torch.Generator().manual_seed(seed))
     assert close(T @ inverse(T), EYE, atol=1e-13)
     assert close(inverse(T), torch.linalg.inv(T), atol=1e-12)
+
+
+def test_compose_is_the_matrix_product_with_the_same_bits_in_any_batch():
+    first, second = (
+        torch.stack([random_transform(torch.Generator().manual_seed(seed)) for seed in range(start, start + 5)])
+        for start in (0, 5)
+    )
+    together = compose(first, second)
+    assert close(together, first @ second, atol=1e-13)
+    for one, a, b in zip(together, first, second, strict=True):
+        assert same_bits(one, compose(a, b))
+    assert same_bits(compose(first, second[0])[3], compose(first[3], second[0]))  # broadcast
 
 
 def test_inverse_of_a_batch():

@@ -10,6 +10,7 @@ from torch import nn
 from torchreg.augment.augmentation import Augmentation, Tracked, unmoved
 from torchreg.augment.streams import derived_seed
 from torchreg.errors import expect
+from torchreg.geometry.se3 import compose
 from torchreg.types import Clouds
 
 
@@ -47,5 +48,5 @@ class Compose(Augmentation):
         seed = int(torch.randint(2**62, (1,), generator=draw).item())
         for place, member in enumerate(self.members):
             step = cast(Augmentation, member).tracked(done.clouds, [derived_seed(seed, place)])
-            done = Tracked(step.clouds, step.T_new_old @ done.T_new_old)
+            done = Tracked(step.clouds, compose(step.T_new_old, done.T_new_old))
         return done

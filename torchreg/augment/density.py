@@ -17,8 +17,9 @@ class RandomThin(Augmentation):
 
     Points are drawn one after another without replacement, each with a chance in proportion to r to the power of
     ``-falloff``, r being its distance from the viewpoint (from the points' zero where that is not known): 0 thins
-    evenly, 2 as the beams of a scanner spread. Drawn by the least of exponential arrival times (Efraimidis and Spirakis,
-    2006, doi:10.1016/j.ipl.2005.11.003). Rows keep their order; gradients flow to the values of those that stay.
+    evenly, 2 as the beams of a scanner spread. Drawn by the least of exponential arrival times (Efraimidis and
+    Spirakis, 2006, doi:10.1016/j.ipl.2005.11.003). Rows keep their order; gradients flow to the values of those that
+    stay.
 
     Args:
         keep: the share of points that stays is drawn evenly from this range, in [0, 1].

@@ -16,8 +16,8 @@ class Illumination(Augmentation):
     """Changes the colors of every cloud as a whole, as another light or another camera does.
 
     In linear light, each channel is multiplied by a gain of its own (white balance) and all by one (exposure); then
-    come a power on the sRGB values (gamma) and a shift along the color circle (hue). Results are cut off at 0 and 1, so no
-    gradient reaches what is bleached; elsewhere gradients flow to colors. A cloud without colors stays as it is.
+    come a power on the sRGB values (gamma) and a shift along the color circle (hue). Results are cut off at 0 and 1, so
+    no gradient reaches what is bleached; elsewhere gradients flow to colors. A cloud without colors stays as it is.
 
     Args:
         white_balance: the largest change of red and of blue against green, in stops (factors of two), at most 4.

@@ -77,7 +77,7 @@ class RandomMotion(Augmentation):
 def _haar_angle(share: float, largest: float) -> float:
     """The angle below which a ``share`` in [0, 1) of all rotations up to ``largest`` lies: a - sin a, by bisection."""
     if largest < 0.01:  # where the difference below is lost to rounding, and the cube is as good
-        return largest * share ** (1 / 3)
+        return largest * float(share ** (1 / 3))
     goal, low, high = share * (largest - math.sin(largest)), 0.0, largest
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -11,7 +11,7 @@ from torch import nn
 from torchreg.augment.augmentation import Augmentation
 from torchreg.augment.streams import SeedStream, derived_seed
 from torchreg.errors import expect
-from torchreg.geometry.se3 import inverse
+from torchreg.geometry.se3 import compose, inverse
 
 if TYPE_CHECKING:
     from torchreg.datasets import ScanPair, ScanPairBatch
@@ -61,7 +61,8 @@ class AugmentPair(nn.Module):
         source = self.source.tracked(pair.source, [derived_seed(seed, "source") for seed in seeds])
         target = self.target.tracked(pair.target, [derived_seed(seed, "target") for seed in seeds])
         T = pair.T_target_source
-        moved = target.T_new_old.to(T.device) @ T @ inverse(source.T_new_old).to(T.device)  # (B, 4, 4)
+        back = compose(T, inverse(source.T_new_old).to(T.device))
+        moved = compose(target.T_new_old.to(T.device), back)  # (B, 4, 4)
         return replace(
             pair,
             source=source.clouds,

@@ -26,6 +26,17 @@ def inverse(T: Tensor) -> Tensor:
     return rigid(back, -apply_rotation(back, T[..., :3, 3]))
 
 
+def compose(T_c_b: Tensor, T_b_a: Tensor) -> Tensor:
+    """The rigid transforms (..., 4, 4) that do ``T_b_a`` first. Shapes broadcast; gradients flow.
+
+    By basic operations alone: a transform of a batch has the bits that it has alone, as matrix products do not promise.
+    """
+    R = T_c_b[..., :3, :3]
+    columns = apply_rotation(R[..., None, :, :], T_b_a[..., :3, :3].transpose(-1, -2))  # (..., column, 3)
+    shift = apply_rotation(R, T_b_a[..., :3, 3]) + T_c_b[..., :3, 3]
+    return rigid(columns.transpose(-1, -2), shift)
+
+
 def apply_rotation(rotation: Tensor, points: Tensor) -> Tensor:
     """Rotate points (..., 3) by (..., 3, 3) with basic operations alone, so that shapes do not change bits."""
     x, y, z = points.unbind(-1)
