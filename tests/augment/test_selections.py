@@ -3,7 +3,6 @@
 import pytest
 import torch
 from determinism import same_bits
-from host_transfers import HostTransfers
 from refusals import refuses
 
 import torchreg as tr
@@ -120,20 +119,6 @@ def test_jitter_is_normal_and_cut_off():
     assert (noise.abs() > 0.02 * 1.4999).double().mean() == pytest.approx(0.134, abs=0.015)  # what lay beyond
     assert noise.mean().abs() < 1e-3
     assert torch.equal(Jitter(sigma=0.02)(cloud).colors, cloud.colors)
-
-
-@pytest.mark.parametrize(
-    "module",
-    [*(RandomCrop(keep=(0.5, 0.9), shape=shape) for shape in SHAPES), RandomThin(), Jitter()],
-    ids=[*SHAPES, "thin", "jitter"],
-)
-def test_nothing_is_read_back_from_the_device(module):
-    """What is drawn goes to the device; draws and offsets alone are read, and they are on the CPU anyway."""
-    cloud = cube(50)
-    with HostTransfers() as watch:
-        module(cloud)
-    reads = [name for name in watch.transfers if name != "_local_scalar_dense"]
-    assert reads == []
 
 
 def test_refusals():
