@@ -75,7 +75,7 @@ def _wall_paint(rng: np.random.Generator) -> Paint:
     kind = rng.random()
     if kind < 0.35:
         brick = from_hsv(rng.uniform(0.01, 0.07, 1), rng.uniform(0.4, 0.65, 1), rng.uniform(0.45, 0.65, 1))
-        return paint(rng, brick, neutral(rng, 0.6, 0.75), pattern=BRICKS, scale=0.09)
+        return paint(rng, brick, 0.5 * brick + 0.5 * neutral(rng, 0.6, 0.75), pattern=BRICKS, scale=0.09)
     color = plain_or_muted(rng, 0.6)
     return paint(rng, color, 0.8 * color, pattern=PLAIN if kind < 0.7 else PANELS, scale=1.4)
 

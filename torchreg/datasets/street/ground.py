@@ -6,7 +6,7 @@ import numpy as np
 
 from torchreg.datasets.scene.arrays import Array
 from torchreg.datasets.scene.paint import PATCHES, TILES, paint
-from torchreg.datasets.scene.palette import from_hsv, muted, neutral
+from torchreg.datasets.scene.palette import from_hsv, neutral
 from torchreg.datasets.scene.quads import Quads, boxes, cylinders, rectangles
 from torchreg.datasets.street.plan import LEVEL, SIDES, StreetPlan
 
@@ -38,7 +38,7 @@ def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
     ]
     for side in SIDES:
         if plan.parking[side > 0]:
-            stone = neutral(rng, 0.4, 0.55) if rng.random() < 0.6 else muted(rng)
+            stone = _stone(rng)
             paving = paint(rng, stone, 0.85 * stone, pattern=TILES, scale=0.2)
             across = plan.kerb(side) - plan.width / 2
             parts.append(
@@ -78,7 +78,7 @@ def _pavement(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
     stone = neutral(rng, 0.5, 0.7)
     x = np.arange(-plan.length / 2 + 0.5, plan.length / 2, 1.0)
     tones = rng.uniform(0.9, 1.1, (len(x), 1)) * stone
-    slab = neutral(rng, 0.45, 0.65) if rng.random() < 0.7 else muted(rng)
+    slab = _stone(rng)
     slabs = paint(rng, slab, 0.9 * slab, pattern=TILES, scale=rng.uniform(0.3, 0.5))
     middle = side * (kerb + (width + edge) / 2)
     return Quads.join(
@@ -103,6 +103,13 @@ def _lawn(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
     straw = from_hsv(rng.uniform(0.13, 0.2, 1), rng.uniform(0.4, 0.6, 1), rng.uniform(0.45, 0.6, 1))
     grass = paint(rng, green, straw, pattern=PATCHES, scale=rng.uniform(1.0, 2.5))
     return Quads(corners, corners[..., :2].copy(), grass.take(np.zeros(len(corners), dtype=np.int64)))
+
+
+def _stone(rng: np.random.Generator) -> Array:
+    """The color (1, 3) of paving: gray, or reddish to ocher."""
+    if rng.random() < 0.6:
+        return neutral(rng, 0.42, 0.62)
+    return from_hsv(rng.uniform(0.0, 0.11, 1), rng.uniform(0.2, 0.45, 1), rng.uniform(0.42, 0.62, 1))
 
 
 def _flat(x: Array | float, y: Array | float, z: float) -> Array:
