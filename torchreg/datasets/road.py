@@ -39,7 +39,7 @@ def road(
     Args:
         seed: which road; at least 0.
         baseline: meters between the two stations, in [0, 30]; 0 scans twice from one place, the scanner turned anew.
-        angular_step: degrees between neighboring rays, in [0.05, 5]; the default gives some 170,000 points
+        angular_step: degrees between neighboring rays, in [0.05, 5]; the default gives some 180,000 points
             a scan.
         range_noise: meters, standard deviation of a range at 10 m on a surface that faces the scanner, in
             [0, 0.1].

@@ -64,7 +64,7 @@ def parked(plan: StreetPlan, stations: Sequence[Array], rng: np.random.Generator
         for x in plan.slots:
             make: Callable[[np.random.Generator], Quads] = car if rng.random() < 0.8 else van
             vehicle, stays = make(rng), rng.random()
-            spot = np.array([x, side * plan.lane(side)]) + rng.uniform((-0.3, -0.15), (0.3, 0.15))
+            spot = np.array([x, side * plan.lane]) + rng.uniform((-0.3, -0.15), (0.3, 0.15))
             yaw = rng.uniform(-0.04, 0.04) + math.pi * (rng.random() < (0.15 if side < 0 else 0.85))
             if plan.parking[side > 0] and clear_of(stations, spot, 2.4):
                 for k, share in ((0, (0.0, 0.66)), (1, (0.1, 0.76))):

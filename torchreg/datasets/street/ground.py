@@ -42,7 +42,7 @@ def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
             paving = paint(rng, stone, 0.85 * stone, pattern=TILES, scale=0.2)
             across = plan.kerb(side) - plan.width / 2
             parts.append(
-                rectangles((0, side * plan.lane(side), 0.002), (plan.length, 0, 0), (0, across, 0), paving),
+                rectangles((0, side * plan.lane, 0.002), (plan.length, 0, 0), (0, across, 0), paving),
             )
     return Quads.join(parts)
 
@@ -60,7 +60,7 @@ def _markings(plan: StreetPlan, rng: np.random.Generator) -> Quads:
     for side in SIDES:
         if plan.parking[side > 0]:
             between = plan.slots - plan.slot / 2
-            place = _flat(between, side * plan.lane(side), height)
+            place = _flat(between, side * plan.lane, height)
             parts.append(rectangles(place, (0.1, 0, 0), (0, 2.0, 0), paint(rng, white, count=len(place))))
     return Quads.join(parts)
 

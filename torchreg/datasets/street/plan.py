@@ -43,7 +43,8 @@ class StreetPlan:
         """Distance of the kerb from the middle of the road on a side, -1 or 1."""
         return self.width / 2 + _LANE * self.parking[side > 0]
 
-    def lane(self, side: int) -> float:
+    @property
+    def lane(self) -> float:
         """Distance of the middle of the parking lane from the middle of the road."""
         return self.width / 2 + _LANE / 2
 
