@@ -1,0 +1,103 @@
+"""The speed benchmark: what it times is what it says, growth by known laws, resumed and refused as it should."""
+
+import json
+
+import pytest
+from refusals import refuses
+from typer.testing import CliRunner
+
+from torchreg.benchmark.speed import session as sessions
+from torchreg.benchmark.speed.clock import timed
+from torchreg.benchmark.speed.document import growth_table, series, times_table
+from torchreg.benchmark.speed.grid import HYPOTHESES, SLOTS, STAGES, cells
+from torchreg.benchmark.speed.growth import slope
+from torchreg.benchmark.speed.scene import Scenes
+from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
+from torchreg.cli.app import app
+
+
+@pytest.mark.parametrize("power", [0.0, 1.0, 2.0, 0.5])
+def test_the_slope_of_a_power_law_is_its_exponent(power):
+    sizes = [10, 100, 1000, 5000]
+    assert slope(sizes, [3 * size**power for size in sizes]) == pytest.approx(power)
+
+
+def test_a_slope_needs_two_sizes():
+    with refuses("sizes", "two different"):
+        slope([10, 10], [1, 2])
+
+
+def test_every_function_runs_once_to_warm_up_and_then_in_turn():
+    calls = []
+    found = timed({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
+    assert calls == ["a", "b"] + ["a", "b"] * 3
+    assert [len(seconds) for seconds in found.values()] == [3, 3]
+
+
+def test_what_takes_longer_than_the_patience_is_timed_once():
+    calls = []
+    found = timed({"slow": lambda: calls.append(1)}, 5, patience=0.0)
+    assert len(calls) == len(found["slow"]) == 1
+
+
+def test_the_grid_holds_every_stage_at_every_size_and_keys_are_unique():
+    listed = list(cells((1000, 10_000)))
+    assert len({cell.key for cell in listed}) == len(listed)
+    for name in STAGES:
+        assert {cell.points for cell in listed if cell.subject == name} == {1000, 10_000}
+    assert {cell.neighbors for cell in listed if cell.subject == "FPFH + PCFH"} == set(SLOTS)
+    assert {cell.hypotheses for cell in listed if cell.subject == "RANSAC"} == set(HYPOTHESES)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return Scenes()
+
+
+@pytest.mark.parametrize("name", list(STAGES))
+def test_every_method_of_a_stage_runs(scenes, name):
+    runs = STAGES[name](scenes.scene(300, 20))
+    assert set(runs) <= set(METHODS)
+    assert OURS in runs
+    assert {CLASSIC, TENSOR} & set(runs)
+    for method, run in runs.items():
+        if method != COMPILED:
+            run()
+
+
+def row(subject, points, seconds, **sizes):
+    return {"key": f"{subject} {points} {sizes}", "subject": subject, "points": points, "neighbors": 100,
+            "hypotheses": 0, "seconds": seconds, **sizes}  # fmt: skip
+
+
+def test_tables_tell_ratios_and_growth():
+    rows = [
+        row("FPFH", points, {OURS: [points * 1e-6], COMPILED: [points * 5e-7], CLASSIC: [points * 4e-6]})
+        for points in (1000, 10_000, 100_000)
+    ]
+    assert "4.0 / 8.0" in times_table(rows)
+    (line,) = [line for line in growth_table(rows).splitlines() if line.startswith("| FPFH")]
+    assert line.count("1.00") == 4  # three exponents, and a flat cost per point
+    assert series(rows)[0][:2] == ("FPFH", "points")
+
+
+def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
+    asked = list(cells((300,)))[:2]
+    monkeypatch.setattr(sessions, "cells", lambda points: iter(asked))
+    out = tmp_path / "speed"
+    words = ["bench", "speed", "--quick", "--out", str(out)]
+    first = CliRunner().invoke(app, words)
+    assert first.exit_code == 0, first.output
+    content = json.loads((out / "speed.json").read_text())
+    assert [one["subject"] for one in content["rows"]] == [cell.subject for cell in asked]
+    assert (out / "speed.png").stat().st_size > 5000
+    assert "neighbor search" in (out / "speed.md").read_text()
+    monkeypatch.setattr(sessions, "timed", lambda *_: pytest.fail("measured again"))
+    assert CliRunner().invoke(app, words).exit_code == 0
+
+
+@pytest.mark.parametrize("points", ["ten", "1000,,2000", "5"])
+def test_points_that_are_no_counts_are_refused(tmp_path, points):
+    result = CliRunner().invoke(app, ["bench", "speed", "--out", str(tmp_path / "x"), "--points", points])
+    assert result.exit_code == 2
+    assert "--points" in result.output

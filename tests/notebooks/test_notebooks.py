@@ -1,0 +1,63 @@
+"""The notebooks run as they stand, and what they say about themselves is true."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+import torch
+
+FOLDER = Path(__file__).parents[2] / "notebooks"
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Run a notebook's text from above; returns its names, and how many figures it showed."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg", force=True)
+    from matplotlib import pyplot as plt
+
+    shown = []
+
+    def show():
+        shown.extend(plt.get_fignums())
+        plt.close("all")
+
+    monkeypatch.setattr(plt, "show", show)
+
+    def notebook(name):
+        names = runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+        return names, len(shown)
+
+    before = torch.random.get_rng_state()
+    yield notebook
+    torch.random.set_rng_state(before)
+
+
+def test_the_pipeline_ends_at_the_truth_and_shows_every_stage(run, capsys):
+    names, figures = run("pipeline")
+    assert figures == 6
+    assert bool(names["whole"].success)
+    assert names["errors"][0] < 5
+    assert "mutual matches" in capsys.readouterr().out
+
+
+def test_batches_are_the_same_bits_alone(run, capsys):
+    names, figures = run("batches")
+    assert figures == 1
+    assert names["same"]
+    assert not bool(names["result"].success[6])
+    assert "bit for bit: True" in capsys.readouterr().out
+
+
+def test_gradients_lower_the_pose_loss(run):
+    names, figures = run("gradients")
+    assert figures == 3
+    assert names["history"][-1][0] < names["history"][0][0]
+    assert names["away"] == sorted(names["away"], reverse=True)
+
+
+@pytest.mark.slow
+def test_what_is_learned_holds_in_a_hall_not_seen(run):
+    names, figures = run("sensitivity")
+    assert figures == 2
+    assert names["learned_ratio"](names["unseen"]) > names["fixed"]
