@@ -23,7 +23,7 @@ from torchreg.io import (
     to_open3d,
     write_cloud,
 )
-from torchreg.matching import match_mutual
+from torchreg.matching import match_mutual, soft_match
 from torchreg.neighbors import neighbors
 from torchreg.preprocess import (
     estimate_normals,
@@ -44,11 +44,12 @@ from torchreg.types import (
     RansacOptions,
     RegistrationOptions,
     RegistrationResult,
+    SoftCorrespondences,
 )
 from torchreg.version import __version__
 
 if TYPE_CHECKING:
-    from torchreg import augment, batch, datasets, learning, reference
+    from torchreg import augment, batch, datasets, learning, nn, reference
 
 __all__ = [
     "PAPER",
@@ -62,6 +63,7 @@ __all__ = [
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "SoftCorrespondences",
     "__version__",
     "augment",
     "batch",
@@ -81,6 +83,7 @@ __all__ = [
     "match_mutual",
     "metrics",
     "neighbors",
+    "nn",
     "pcfh",
     "random_downsample",
     "ransac",
@@ -88,6 +91,7 @@ __all__ = [
     "reference",
     "register",
     "soft_equalize",
+    "soft_match",
     "spacing",
     "to_open3d",
     "transform",
@@ -95,7 +99,7 @@ __all__ = [
     "write_cloud",
 ]
 
-_ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "reference")
+_ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference")
 
 
 def __getattr__(name: str) -> ModuleType:

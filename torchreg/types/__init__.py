@@ -7,6 +7,7 @@ from torchreg.types.features import Features
 from torchreg.types.neighborhoods import Neighborhoods
 from torchreg.types.options import CompatibilityOptions, RansacOptions, RegistrationOptions
 from torchreg.types.result import HypothesisCounts, RegistrationResult
+from torchreg.types.soft_correspondences import SoftCorrespondences
 
 __all__ = [
     "Candidate",
@@ -20,5 +21,6 @@ __all__ = [
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "SoftCorrespondences",
     "StageCounts",
 ]

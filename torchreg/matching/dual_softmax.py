@@ -1,0 +1,64 @@
+r"""Dual softmax: a pair counts as far as each of its points prefers the other to all others.
+
+    C_ij = exp(s_ij) / sum_k exp(s_ik)  x  exp(s_ij) / sum_k exp(s_kj)
+
+Soft mutual nearest neighbors (Rocco et al., NeurIPS 2018, arXiv:1810.10510; Sun et al., CVPR 2021,
+doi:10.1109/CVPR46437.2021.00881, Eq. 2). A dustbin joins both sums as one more partner that every point may prefer.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.matching.pair_masks import one_number, score_masks
+
+
+def dual_softmax(
+    scores: Tensor,
+    *,
+    dustbin: float | Tensor | None = None,
+    source_valid: Tensor | None = None,
+    target_valid: Tensor | None = None,
+) -> Tensor:
+    """Confidences from scores by a softmax over rows times a softmax over columns.
+
+    Args:
+        scores: (..., N, M), the larger the more alike, divided by a temperature already.
+        dustbin: score of having no partner, a number or a tensor of one element; ``None``: every point has to prefer
+            some partner.
+        source_valid: (..., N) bool, rows that take part; ``None``: all.
+        target_valid: (..., M) bool, columns likewise.
+
+    Returns:
+        (..., N, M) in [0, 1], zero in rows and columns that do not take part, whatever stands there (NaN too). Rows
+        and columns sum to 1 at most. As scores grow, entries of mutual best pairs go to 1 and all others to 0.
+        Gradients flow to scores and dustbin, of any order, finite for equal and for huge scores and for empty sides.
+
+    Raises:
+        ValueError: shapes or dtypes do not fit.
+
+    Example:
+        >>> import torch
+        >>> dual_softmax(torch.zeros(2, 2))
+        tensor([[0.2500, 0.2500],
+                [0.2500, 0.2500]])
+    """
+    masks = score_masks(scores, source_valid, target_valid)
+    none = None if dustbin is None else one_number(dustbin, "dustbin", scores)
+    if scores.numel() == 0:
+        return scores
+    logits = torch.where(masks.pair, scores, 0)
+    by_row = _log_softmax(logits, masks.target[..., None, :], none, -1)
+    by_column = _log_softmax(logits, masks.source[..., :, None], none, -2)
+    return torch.where(masks.pair, (by_row + by_column).exp(), 0)
+
+
+def _log_softmax(logits: Tensor, counted: Tensor, dustbin: Tensor | None, dim: int) -> Tensor:
+    """Logits less the logarithm of a sum along ``dim`` over the entries counted, and the dustbin."""
+    # where nothing counts everything does, so that no sum is empty; the caller masks such entries
+    counted = counted | ~counted.any(dim=dim, keepdim=True)
+    total = logits.masked_fill(~counted, -torch.inf).logsumexp(dim=dim, keepdim=True)
+    if dustbin is not None:
+        total = torch.logaddexp(total, dustbin)
+    return logits - total
