@@ -65,12 +65,19 @@ class Moments(NamedTuple):
 
 def soft_moments(source: Tensor, target: Tensor, confidence: Tensor) -> Moments:
     """What ``from_moments`` takes, from the arguments of ``soft_kabsch``. Gradients flow."""
+    # about the largest weight, held fixed: scaling all weights changes nothing, and no square of one underflows
+    share = reciprocal(confidence.detach().flatten(-2).amax(dim=-1) if confidence.numel() else confidence.sum((-1, -2)))
+    confidence = confidence * share[..., None, None]
     rows, columns = confidence.sum(dim=-1), confidence.sum(dim=-2)
-    total = rows.sum(dim=-1)
-    some = total > torch.finfo(confidence.dtype).tiny ** 0.5  # whose reciprocal squared is finite
-    share = torch.where(some, 1 / torch.where(some, total, 1), 0)[..., None]
+    share = reciprocal(rows.sum(dim=-1))[..., None]
     source_mean = (rows[..., None] * source).sum(dim=-2) * share
     target_mean = (columns[..., None] * target).sum(dim=-2) * share
     apart = confidence @ (target - target_mean[..., None, :])  # (..., N, 3)
     covariance = (source - source_mean[..., None, :]).transpose(-1, -2) @ apart
     return Moments(source_mean, target_mean, covariance * share[..., None])
+
+
+def reciprocal(weight: Tensor) -> Tensor:
+    """1 / weight, and 0 where the weight is so near 0 that gradients would not stay finite."""
+    some = weight > torch.finfo(weight.dtype).tiny ** 0.75
+    return torch.where(some, 1 / torch.where(some, weight, 1), 0)

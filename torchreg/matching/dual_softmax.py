@@ -51,7 +51,7 @@ def dual_softmax(
     logits = torch.where(masks.pair, scores, 0)
     by_row = _log_softmax(logits, masks.target[..., None, :], none, -1)
     by_column = _log_softmax(logits, masks.source[..., :, None], none, -2)
-    return torch.where(masks.pair, (by_row + by_column).exp(), 0)
+    return torch.where(masks.pair, by_row + by_column, -torch.inf).exp()
 
 
 def _log_softmax(logits: Tensor, counted: Tensor, dustbin: Tensor | None, dim: int) -> Tensor:

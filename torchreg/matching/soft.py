@@ -26,7 +26,7 @@ def soft_match(
     target: Features,
     *,
     method: str = "dual_softmax",
-    temperature: float | Tensor = 0.05,
+    temperature: float | Tensor = 0.01,
     dustbin: float | Tensor | None = None,
     iterations: int = 50,
 ) -> SoftCorrespondences:
