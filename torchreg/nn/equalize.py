@@ -1,0 +1,78 @@
+"""Histogram equalization of hue as a module: per cloud, or by one map for both clouds of a pair."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchreg.descriptors.color import colors_of, hsv
+from torchreg.descriptors.soft.equalize import soft_equalize
+from torchreg.errors import expect, fraction
+from torchreg.nn.precision import full_precision
+from torchreg.types import Clouds
+from torchreg.types.packing import offsets_of, spans
+
+
+class PairValues(NamedTuple):
+    """Hue, saturation and value of both sides, each in [0, 1].
+
+    Attributes:
+        source: (P, 3).
+        target: (Q, 3).
+    """
+
+    source: Tensor
+    target: Tensor
+
+
+class Equalize(nn.Module):
+    """Hue, saturation and value of every point, hue equalized by ``torchreg.soft_equalize``.
+
+    What comes out is what ``PCFH`` takes as ``values``. Gradients flow to colors, finite for gray points.
+
+    Args:
+        bandwidth: in (0, 1], of the ramp over which a hue passes from one of 256 levels to the next.
+
+    Raises:
+        ValueError: a bandwidth out of its range.
+    """
+
+    def __init__(self, *, bandwidth: float = 1.0) -> None:
+        super().__init__()
+        self.bandwidth = fraction(bandwidth, "bandwidth")
+
+    @full_precision
+    def forward(self, cloud: Clouds) -> Tensor:
+        """Values (P, 3) in [0, 1] of packed clouds with colors, every cloud equalized by itself.
+
+        Raises:
+            ValueError: no colors.
+        """
+        values = hsv(colors_of(cloud))
+        return _with_hue(soft_equalize(values[:, 0], cloud.offsets, self.bandwidth), values)
+
+    @full_precision
+    def joint(self, source: Clouds, target: Clouds) -> PairValues:
+        """Values of B source clouds and their B targets, both of a pair equalized by one map.
+
+        Raises:
+            ValueError: no colors, or different numbers of clouds.
+        """
+        expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
+        one, other = hsv(colors_of(source)), hsv(colors_of(target))
+        pairs = list(zip(spans(source.offsets), spans(target.offsets), strict=True))
+        hues = torch.cat([one[:0, 0], *(part for (i, j), (k, m) in pairs for part in (one[i:j, 0], other[k:m, 0]))])
+        equal = soft_equalize(hues, offsets_of(j - i + m - k for (i, j), (k, m) in pairs), self.bandwidth)
+        parts = equal.split([size for (i, j), (k, m) in pairs for size in (j - i, m - k)])
+        sides = (torch.cat([equal[:0], *parts[::2]]), torch.cat([equal[:0], *parts[1::2]]))
+        return PairValues(_with_hue(sides[0], one), _with_hue(sides[1], other))
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        return f"bandwidth={self.bandwidth}"
+
+
+def _with_hue(hue: Tensor, values: Tensor) -> Tensor:
+    return torch.cat([hue[:, None], values[:, 1:]], dim=1)
