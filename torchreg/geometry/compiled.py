@@ -69,7 +69,7 @@ def fusible(kernel: _Kernel) -> _Kernel:
 
     @functools.wraps(kernel)
     def call(*args: Any) -> Any:  # noqa: ANN401
-        if kernels_are_compiled() and not torch.compiler.is_compiling():
+        if not torch.compiler.is_compiling() and kernels_are_compiled():
             return compiled()(*args)
         return kernel(*args)
 

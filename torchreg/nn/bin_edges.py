@@ -33,12 +33,21 @@ class BinEdges(nn.Module):
 
     def forward(self) -> Tensor:
         """The edges (rows, bins + 1), strictly ascending from 0 to 1, in float32 or float64. Gradients flow."""
-        shares = widened(self.log_widths).softmax(dim=1)
-        inner = (shares * (1 - _LEAST) + _LEAST / shares.shape[1]).cumsum(dim=1)[:, :-1]
-        first = inner.new_zeros(len(inner), 1)
-        return torch.cat([first, inner, first + 1], dim=1)
+        return ascending_edges(widened(self.log_widths))
 
     def extra_repr(self) -> str:
         """What ``print`` shows."""
         rows, bins = self.log_widths.shape
         return f"rows={rows}, bins={bins}"
+
+
+def ascending_edges(log_widths: Tensor) -> Tensor:
+    """Edges (rows, bins + 1) from logarithms of widths (rows, bins). Gradients flow."""
+    shares = log_widths.softmax(dim=1)
+    bins = shares.shape[1]
+    widths = shares * (1 - _LEAST) + _LEAST / bins
+    # not by cumsum, whose gradient the compiler of torch 2.13 gets wrong here on CPUs
+    before = torch.ones(bins, bins, dtype=widths.dtype, device=widths.device).triu(1)[:, 1:]
+    inner = (widths[:, :, None] * before).sum(dim=1)
+    first = torch.zeros_like(widths[:, :1])
+    return torch.cat([first, inner, first + 1], dim=1)

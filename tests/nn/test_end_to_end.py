@@ -1,0 +1,140 @@
+"""From two clouds to a pose loss, with gradients back to everything that stands on the way."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from closeness import close
+from problems import room_pair
+from refusals import refuses
+
+import torchreg as tr
+from torchreg.learning import pose_loss
+from torchreg.matching import soft_targets
+
+ROOM = room_pair(700, seed=3)
+OPTIONS = tr.RegistrationOptions(
+    normal_radius=1.0, feature_radius=2.0, color_radius=1.5, ransac=tr.RansacOptions(inlier_threshold=0.6)
+)
+MATCHERS = {
+    "dual softmax": {},
+    "dual softmax without a dustbin": {"dustbin": None},
+    "sinkhorn": {"method": "sinkhorn", "iterations": 20},
+}
+
+
+def asking(cloud):
+    """The same cloud, asking for gradients of points and colors."""
+    return replace(cloud, points=cloud.points.clone().requires_grad_(), colors=cloud.colors.clone().requires_grad_())
+
+
+def features(cloud, fuse):
+    near = tr.neighbors(cloud, 2.0, 60)
+    cloud = tr.estimate_normals(cloud, near.restrict(1.0, 30))
+    return fuse(tr.nn.FPFH()(cloud, near), tr.nn.PCFH()(cloud, near))
+
+
+@pytest.mark.parametrize("words", MATCHERS.values(), ids=MATCHERS)
+def test_step_by_step_gradients_reach_block_weights_temperature_dustbin_and_points(words):
+    fuse, match, solve = tr.nn.Fuse(), tr.nn.SoftMatch(**words), tr.nn.WeightedKabsch(rounds=3, scale=0.6)
+    source, target = asking(ROOM.source), asking(ROOM.target)
+    T = solve(source, target, match(features(source, fuse), features(target, fuse)))
+    loss = pose_loss(T, ROOM.T_target_source)
+    assert loss.rotation.rad2deg() < 5
+    assert loss.translation < 0.5
+    loss.total.sum().backward()
+    leaves = [source.points, target.points, source.colors, target.colors, *fuse.parameters(), *match.parameters()]
+    for leaf in leaves:
+        assert torch.isfinite(leaf.grad).all()
+        assert leaf.grad.any()
+
+
+def test_the_module_is_these_steps():
+    module = tr.nn.Register(OPTIONS, solve=tr.nn.WeightedKabsch())
+    found = module(ROOM.source, ROOM.target)
+    partners = soft_targets(found.matches, found.target.points)
+    T = tr.kabsch(found.source.points, partners.points, partners.weights)
+    assert close(found.T_target_source[0], T.double(), atol=1e-4)
+    fused = tr.fuse(*(
+        tr.Features(found.source_features.block(name), found.source_features.offsets, ((name, size),),
+                    found.source_features.valid) for name, size in (("fpfh", 33), ("pcfh", 11))
+    ))  # fmt: skip
+    assert close(fused.values, found.source_features.values, atol=1e-5)
+
+
+def test_rounds_bring_the_pose_nearer_to_the_truth():
+    modules = [
+        tr.nn.Register(OPTIONS, solve=solve) for solve in (tr.nn.WeightedKabsch(), tr.nn.WeightedKabsch(rounds=5))
+    ]
+    poses = [module(ROOM.source, ROOM.target).T_target_source for module in modules]
+    errors = [float(pose_loss(T, ROOM.T_target_source).total.detach()) for T in poses]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_few_steps_of_training_lower_the_loss():
+    module = tr.nn.Register(OPTIONS, solve=tr.nn.WeightedKabsch(rounds=1))
+    optimizer = torch.optim.Adam(module.parameters(), lr=0.05)
+    losses = []
+    for _ in range(6):
+        loss = pose_loss(module(ROOM.source, ROOM.target).T_target_source, ROOM.T_target_source).total.sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.9 * losses[0]
+
+
+@pytest.mark.parametrize("derived", [False, True])
+def test_a_batch_is_the_loop_over_its_pairs(derived):
+    other = room_pair(400, seed=5, scale=1.5)
+    module = tr.nn.Register(None if derived else OPTIONS)
+    whole = module(tr.Clouds.pack([ROOM.source, other.source]), tr.Clouds.pack([ROOM.target, other.target]))
+    for b, pair in enumerate((ROOM, other)):
+        alone = module(pair.source, pair.target)
+        assert torch.equal(alone.matches.confidence[0], whole.matches.confidence[b])
+        assert close(alone.T_target_source[0], whole.T_target_source[b], atol=1e-5)
+
+
+def test_origins_are_part_of_the_pose():
+    shift = torch.tensor([[4e6, -3e5, 120.0]], dtype=torch.float64)
+    module = tr.nn.Register(OPTIONS)
+    plain = module(ROOM.source, ROOM.target).T_target_source
+    moved = module(replace(ROOM.source, origin=shift), replace(ROOM.target, origin=2 * shift)).T_target_source
+    place = torch.rand(5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    at = place @ plain[0, :3, :3].t() + plain[0, :3, 3] + 2 * shift
+    assert close((place + shift) @ moved[0, :3, :3].t() + moved[0, :3, 3], at, atol=1e-6)
+
+
+def test_what_was_learned_serves_the_hard_pipeline():
+    found = tr.nn.Register(OPTIONS).requires_grad_(False)(ROOM.source, ROOM.target)
+    matches = tr.match_mutual(found.source_features, found.target_features)
+    result = tr.ransac(found.source, found.target, matches, OPTIONS.ransac)
+    assert pose_loss(result.T_target_source, ROOM.T_target_source).translation < 0.5
+
+
+def test_options_decide_descriptors_and_weights():
+    options = replace(OPTIONS, color_weights=(0.4,), color_bins=7, equalization="joint", voxel_size=0.5)
+    module = tr.nn.Register(options)
+    assert module.fuse.weights.tolist() == pytest.approx([1.0, 0.4])
+    found = module(ROOM.source, ROOM.target)
+    assert found.source_features.blocks == (("fpfh", 33), ("pcfh", 7))
+    assert len(found.source.points) == len(tr.voxel_downsample(ROOM.source, 0.5).points)
+    separate = tr.nn.Register(replace(options, equalization="cloud"))(ROOM.source, ROOM.target)
+    assert not torch.equal(found.source_features.values, separate.source_features.values)
+    colorless = replace(ROOM.source, colors=None), replace(ROOM.target, colors=None)
+    assert tr.nn.Register(replace(OPTIONS, color=(), color_weights=()))(*colorless).source_features.blocks == (
+        ("fpfh", 33),
+    )
+    geometry = tr.nn.Register(OPTIONS, descriptors=[tr.nn.FPFH(learn_edges=True)])
+    assert geometry(*colorless).T_target_source.requires_grad
+
+
+def test_bad_arguments_are_refused():
+    with refuses("options.color", "pcfh"):
+        tr.nn.Register(replace(OPTIONS, color=("contrast",)))
+    with refuses("descriptors", "at least one"):
+        tr.nn.Register(descriptors=[])
+    with refuses("target", "1 clouds"):
+        tr.nn.Register(OPTIONS)(ROOM.source, tr.Clouds.pack([ROOM.target, ROOM.target]))
+    with pytest.raises(ValueError, match="cloud: expected colors"):
+        tr.nn.Register(OPTIONS)(replace(ROOM.source, colors=None), ROOM.target)
