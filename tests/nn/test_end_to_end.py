@@ -113,9 +113,10 @@ def test_what_was_learned_serves_the_hard_pipeline():
 
 
 def test_options_decide_descriptors_and_weights():
-    options = replace(OPTIONS, color_weights=(0.4,), color_bins=7, equalization="joint", voxel_size=0.5)
+    options = replace(OPTIONS, color_weights=(0.4,), color_bins=7, equalization="joint", voxel_size=0.5, root=0.3)
     module = tr.nn.Register(options)
     assert module.fuse.weights.tolist() == pytest.approx([1.0, 0.4])
+    assert module.fuse.root == 0.3
     found = module(ROOM.source, ROOM.target)
     assert found.source_features.blocks == (("fpfh", 33), ("pcfh", 7))
     assert len(found.source.points) == len(tr.voxel_downsample(ROOM.source, 0.5).points)

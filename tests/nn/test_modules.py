@@ -1,4 +1,4 @@
-"""What every module promises: the function's own values, its state kept, its dtype and device, digits under autocast."""
+"""What every module promises: the function's own values, state kept, dtype and device kept, digits under autocast."""
 
 import copy
 import io
@@ -12,6 +12,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.nn import BinEdges
+from torchreg.registration.describe import fused
 
 
 def numbers(*shape, seed=0):
@@ -187,13 +188,15 @@ def test_edges_to_learn_begin_as_equal_bins_and_stay_in_order():
 
 
 def test_fusion_weighs_blocks_as_the_function_does():
-    near = NEAR
-    blocks = tr.fpfh(CLOUD, near), tr.pcfh(CLOUD, near)
+    blocks = tr.fpfh(CLOUD, NEAR), tr.pcfh(CLOUD, NEAR)
     found = tr.nn.Fuse((1.0, 0.3)).double()(*blocks)
     expected = tr.fuse(*blocks, weights=(1.0, 0.3))
     assert close(found.values, expected.values, atol=1e-6)
     assert found.blocks == expected.blocks
     assert torch.equal(found.valid, expected.valid)
+    rooted = tr.nn.Fuse(root=0.7)(*blocks).values
+    expected = fused({"fpfh": blocks[0], "pcfh": blocks[1]}, ("pcfh",), (1.0,), 0.7).values
+    assert close(rooted, expected, atol=1e-6)
 
 
 def test_equalization_is_the_functions_and_joint_is_that_of_the_joined_clouds():

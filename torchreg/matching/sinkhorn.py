@@ -53,8 +53,8 @@ def sinkhorn(
     Example:
         >>> import torch
         >>> sinkhorn(torch.tensor([[9.0, 0.0], [0.0, -9.0]]), dustbin=0.0).round(decimals=1)
-        tensor([[1.0000, 0.0000],
-                [0.0000, 0.0000]])
+        tensor([[1., 0.],
+                [0., 0.]])
     """
     masks = score_masks(scores, source_valid, target_valid)
     at_least(iterations, "iterations", 1)

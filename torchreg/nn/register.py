@@ -52,12 +52,12 @@ class Register(nn.Module):
             from every pair (``derive_options``). Solver, effort and what concerns matches and hypotheses are not read.
         descriptors: ``FPFH`` and ``PCFH`` modules in the order of their blocks; ``None``: soft ones, FPFH and, unless
             options leave color out, PCFH as options say.
-        fuse: ``None``: weights of 1 to begin with, or the options' ``color_weights``.
+        fuse: ``None``: weights of 1 to begin with, or the options' ``color_weights``, and their ``root``.
         match: ``None``: ``SoftMatch()``, dual softmax.
         solve: ``None``: ``WeightedKabsch(rounds=5)``. A scale of its own holds; else the inlier threshold.
 
     Raises:
-        ValueError: no descriptors, or options with ``contrast`` and none given: it has no gradients.
+        ValueError: no descriptors, or options with another color block than ``"pcfh"`` and none given.
 
     Example:
         >>> import torchreg as tr
@@ -82,8 +82,9 @@ class Register(nn.Module):
         count = len(self.descriptors)
         expect(count > 0, "descriptors", "at least one", descriptors)
         weights = (1.0, *options.color_weights) if options is not None and descriptors is None else (1.0,) * count
+        root = 0.0 if options is None else options.root
         self.equalize = Equalize() if options is not None and options.equalization == "joint" else None
-        self.fuse = Fuse(weights) if fuse is None else fuse
+        self.fuse = Fuse(weights, root=root) if fuse is None else fuse
         self.match = SoftMatch() if match is None else match
         self.solve = WeightedKabsch(rounds=5) if solve is None else solve
 
@@ -143,7 +144,7 @@ class Register(nn.Module):
 def _descriptors_of(options: RegistrationOptions | None) -> list[FPFH | PCFH]:
     if options is None:
         return [FPFH(), PCFH()]
-    expect("contrast" not in options.color, "options.color", "blocks with gradients, such as 'pcfh'", options.color)
+    expect(set(options.color) <= {"pcfh"}, "options.color", "('pcfh',) or ()", options.color)
     found: list[FPFH | PCFH] = [FPFH()]
     for _ in options.color:
         color = PCFH(
