@@ -6,6 +6,7 @@ import typer
 
 from torchreg.cli.bench_3dmatch import threedmatch
 from torchreg.cli.bench_field import field
+from torchreg.cli.bench_paper import paper
 from torchreg.cli.bench_speed import speed
 from torchreg.cli.guard import GuardedGroup
 
@@ -15,6 +16,7 @@ bench = typer.Typer(
     help="Measure: the paper's experiments, and whatever else has a command below.",
 )
 bench.command()(field)
+bench.command()(paper)
 bench.command()(speed)
 bench.command("3dmatch")(threedmatch)
 

@@ -1,0 +1,112 @@
+"""Charts: the errors of every setting and method, one dot a place, the paper's printed number beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from torchreg.benchmark.paper.layout import LABELS
+from torchreg.benchmark.paper.methods import METHODS
+from torchreg.benchmark.paper.places import Group
+from torchreg.benchmark.paper.printed import ERRORS, SECONDS
+from torchreg.benchmark.paper.rows import Row
+from torchreg.benchmark.paper.settings import settings_of
+from torchreg.benchmark.paper.times import SPANS, TIMED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = dict(zip(METHODS, ("#0072b2", "#d55e00", "#cc79a7"), strict=True))
+"""Blue, vermilion and purple, which color-blind people tell apart (Okabe and Ito, 2008)."""
+
+_PANEL = (4.4, 2.9)  # inches
+_AXIS_NAMES = {1: "initial pose", 2: "points", 3: "points", 5: "scene"}
+_LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
+
+
+def errors_chart(experiment: int, groups: Sequence[Group], rows: Sequence[Row]) -> Figure:
+    """RRE, RTE and RMSE of one experiment: a row of panels for each group of places.
+
+    Args:
+        experiment: 1, 2, 3 or 5.
+        groups: from above.
+        rows: measured.
+    """
+    settings = [setting.name for setting in settings_of(experiment)]
+    figure = _figure(len(LABELS), len(groups))
+    panels = figure.subplots(len(groups), len(LABELS), squeeze=False, sharey="col")
+    for group, row in zip(groups, panels, strict=True):
+        own = [one for one in rows if one["experiment"] == experiment and one["group"] == group.name]
+        for (measure, label), ax in zip(LABELS.items(), row, strict=True):
+            _error_panel(ax, experiment, settings, own, measure)
+            ax.set_ylabel(label.replace("/", " in "), fontsize=9)
+            ax.set_xlabel(_AXIS_NAMES[experiment], fontsize=9)
+        row[0].set_title(group.title, fontsize=10, loc="left")
+    figure.suptitle(f"Experiment {experiment}: dots are places, bars their median", fontsize=12)
+    _legend(figure, METHODS, "the paper's number")
+    return figure
+
+
+def times_chart(rows: Sequence[Row]) -> Figure:
+    """Times of Experiment 4 over the number of points, a panel for every span."""
+    figure = _figure(len(SPANS), 1)
+    names = {row["setting"]: row for row in rows}
+    for span, ax in zip(SPANS, figure.subplots(1, len(SPANS), sharey=True), strict=True):
+        for method in TIMED:
+            points = [row["points"] for row in names.values()]
+            ours = [median(row["seconds"][f"{span}/{method}"]) for row in names.values()]
+            ax.plot(points, ours, "o-", color=COLORS[method], markersize=5)
+            paper = [SECONDS[name, method] for name in names]
+            ax.plot(points, paper, "D", color=COLORS[method], markeredgecolor="black", markersize=6)
+        ax.set(xscale="log", yscale="log")
+        ax.set_xticks([row["points"] for row in names.values()], [f"{row['points']:,}" for row in names.values()])
+        ax.minorticks_off()
+        ax.set_title(span, fontsize=10)
+        ax.set_xlabel("points of a cloud", fontsize=9)
+        ax.grid(axis="y", color="0.9")
+    figure.axes[0].set_ylabel("seconds", fontsize=9)
+    figure.suptitle("Experiment 4: times (the paper does not say which span its numbers cover)", fontsize=12)
+    _legend(figure, TIMED, "the paper's number")
+    return figure
+
+
+def _error_panel(ax: Axes, experiment: int, settings: Sequence[str], rows: Sequence[Row], measure: str) -> None:
+    width = 0.8 / len(METHODS)
+    for place, name in enumerate(settings):
+        for i, method in enumerate(METHODS):
+            x = place + (i - (len(METHODS) - 1) / 2) * width
+            own = [max(row[measure], _LEAST) for row in rows if (row["setting"], row["method"]) == (name, method)]
+            if own:
+                spread = np.linspace(-0.25, 0.25, len(own)) * width if len(own) > 1 else np.zeros(1)
+                ax.plot(x + spread, sorted(own), "o", color=COLORS[method], markersize=3.5, alpha=0.7)
+                ax.plot([x - 0.4 * width, x + 0.4 * width], [median(own)] * 2, color=COLORS[method], linewidth=2)
+            printed = ERRORS.get((experiment, name, method))
+            if printed is not None:
+                value = getattr(printed, measure)
+                ax.plot(x, value, "D", color=COLORS[method], markeredgecolor="black", markersize=6)
+    ax.set_yscale("log")
+    ax.set_xticks(range(len(settings)), settings)
+    ax.set_xlim(-0.6, len(settings) - 0.4)
+    ax.tick_params(labelsize=8)
+    ax.grid(axis="y", color="0.9")
+
+
+def _figure(columns: int, rows: int) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows + 1.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _legend(figure: Figure, methods: Sequence[str], paper: str) -> None:
+    from matplotlib.lines import Line2D
+
+    marks = [Line2D([], [], linestyle="", marker="o", color=COLORS[name], label=name) for name in methods]
+    marks.append(Line2D([], [], linestyle="", marker="D", color="white", markeredgecolor="black", label=paper))
+    figure.legend(handles=marks, loc="outside lower center", ncols=4, frameon=False)

@@ -1,0 +1,135 @@
+"""Pictures in the manner of the paper's Figures 3 to 6: the drawn points in their initial pose, and registered.
+
+The source stands as it was scanned, upright; the target is drawn where the initial pose puts it, and then where each
+method takes it. Registered rooms are cut open like a plan, so that walls show as lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchreg.benchmark.paper.methods import METHODS
+from torchreg.benchmark.paper.rows import Row
+from torchreg.geometry.se3 import apply, inverse
+from torchreg.report.panels import SOURCE_COLOR, TARGET_COLOR
+from torchreg.report.thinning import box
+from torchreg.report.views import VIEWS, slice_of
+from torchreg.types import Clouds
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WIDTH = 3.7  # inches of a panel
+_AZIMUTH, _ELEVATION = np.deg2rad(-60.0), np.deg2rad(28.0)
+_MARGIN = 0.05
+_SHAPE = 0.8  # of a panel: its height over its width
+
+
+class Shown(NamedTuple):
+    """One column: its heading, the clouds with the target in its initial pose, the truth, and a row for each method."""
+
+    heading: str
+    source: Clouds
+    target: Clouds
+    T_target_source: Tensor
+    rows: Mapping[str, Row]
+
+
+def clouds_figure(columns: Sequence[Shown], title: str) -> Figure:
+    """Draw the initial pose above, and below it what every method found.
+
+    Args:
+        columns: from left to right.
+        title: above all.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    kinds = 1 + len(METHODS)
+    figure = Figure(figsize=(_WIDTH * len(columns) + 0.4, _SHAPE * _WIDTH * kinds + 0.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=12)
+    panels = figure.subplots(kinds, len(columns), squeeze=False)
+    for column, axes in zip(columns, panels.T, strict=True):
+        source, target = (_upright(cloud, None) for cloud in (column.source, column.target))
+        _scatter(axes[0], _oblique(source), _oblique(target))
+        _frame(axes[0], np.concatenate((_oblique(source), _oblique(target))))
+        axes[0].set_title(column.heading, fontsize=10)
+        axes[0].set_xlabel("initial pose, seen from above and aside (m)", fontsize=8)
+        for method, ax in zip(METHODS, axes[1:], strict=True):
+            _registered(ax, column, method, source)
+    for text, ax in zip(("initial pose", *METHODS), panels[:, 0], strict=True):
+        ax.set_ylabel(text, fontsize=9)
+    _legend(figure)
+    return figure
+
+
+def _registered(ax: Axes, column: Shown, method: str, source: NDArray[Any]) -> None:
+    """The plan of both clouds under what a method found; the slice is that of the truth."""
+    row = column.rows.get(method)
+    if row is None:
+        ax.set_axis_off()
+        return
+    true = _upright(column.target, column.T_target_source)
+    cut = slice_of(np.concatenate((source, true)), VIEWS[0])
+    moved = _upright(column.target, torch.tensor(row["T_target_source"], dtype=torch.float64))
+    if cut is not None:
+        source, moved = (points[(points[:, 2] >= cut[0]) & (points[:, 2] <= cut[1])] for points in (source, moved))
+    _scatter(ax, source[:, :2], moved[:, :2])
+    _frame(ax, np.concatenate((source, true))[:, :2])
+    ax.set_xlabel(
+        f"RRE {row['rre_degrees']:.2f}°, RTE {row['rte_meters']:.3f} m, RMSE {row['rmse_meters']:.3f} m", fontsize=8
+    )
+
+
+def _upright(cloud: Clouds, T_target_source: Tensor | None) -> NDArray[Any]:
+    """Points (P, 3) in the frame that the source was scanned in; as they are without a transform."""
+    points = cloud.points.detach().cpu().double() + cloud.origin.cpu()
+    moved: NDArray[Any] = (points if T_target_source is None else apply(inverse(T_target_source), points)).numpy()
+    return moved
+
+
+def _oblique(points: NDArray[Any]) -> NDArray[Any]:
+    """Orthographic picture (P, 2), meters, z up."""
+    c, s = np.cos(_AZIMUTH), np.sin(_AZIMUTH)
+    right = np.array([-s, c, 0])
+    up = np.array([-c * np.sin(_ELEVATION), -s * np.sin(_ELEVATION), np.cos(_ELEVATION)])
+    flat: NDArray[Any] = points @ np.stack((right, up), axis=1)
+    return flat
+
+
+def _scatter(ax: Axes, source: NDArray[Any], target: NDArray[Any]) -> None:
+    """Both clouds, their points mixed so that neither hides the other."""
+    points = np.concatenate((source, target))
+    rows = np.random.default_rng(0).permutation(len(points))
+    color = np.where(rows < len(source), SOURCE_COLOR, TARGET_COLOR)
+    size = float(np.clip(12_000 / max(len(rows), 1), 0.8, 8.0))
+    ax.scatter(points[rows, 0], points[rows, 1], s=size, c=color, marker="s", linewidths=0, rasterized=True)
+    ax.tick_params(labelsize=7)
+
+
+def _frame(ax: Axes, points: NDArray[Any]) -> None:
+    """Show what most of the points (P, 2) fill, to scale, all panels in one shape."""
+    low, high = box(points)
+    middle, size = (low + high) / 2, high - low
+    half = (0.5 + _MARGIN) * max(float(size[0]), float(size[1]) / _SHAPE)
+    ax.set_xlim(middle[0] - half, middle[0] + half)
+    ax.set_ylim(middle[1] - _SHAPE * half, middle[1] + _SHAPE * half)
+    ax.set_aspect("equal")
+
+
+def _legend(figure: Figure) -> None:
+    from matplotlib.lines import Line2D
+
+    marks = [
+        Line2D([], [], linestyle="", marker="o", markersize=7, color=color, label=name)
+        for name, color in (("source", SOURCE_COLOR), ("target", TARGET_COLOR))
+    ]
+    figure.legend(handles=marks, loc="outside lower center", ncols=2, frameon=False)

@@ -1,0 +1,108 @@
+"""The tables as one Markdown document and as CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from torchreg.benchmark.paper import captions
+from torchreg.benchmark.paper.layout import Table, beyond_table, error_table
+from torchreg.benchmark.paper.places import GROUPS, Group
+from torchreg.benchmark.paper.printed import ERRORS, SECONDS
+from torchreg.benchmark.paper.rows import Row
+from torchreg.benchmark.paper.settings import TABLES
+from torchreg.benchmark.paper.summary import MEASURES, summarize
+from torchreg.benchmark.paper.time_table import added, time_table
+from torchreg.benchmark.tables import csv_table, markdown_table
+
+
+class Findings(NamedTuple):
+    """Everything measured: rows of Experiments 1, 2, 3 and 5, rows of Experiment 4, and whether it was a quick run."""
+
+    errors: Sequence[Row]
+    times: Sequence[Row]
+    quick: bool
+
+
+def tables(findings: Findings) -> dict[int, list[Table]]:
+    """The tables by the paper's number, a letter behind it where several groups of places fill the same one."""
+    cells = summarize(findings.errors)
+    made: dict[int, list[Table]] = {}
+    for experiment, table in TABLES.items():
+        groups = [group for group in _groups(findings, experiment) if group.paper]
+        parts = [""] if len(groups) == 1 else list("abcdef")
+        own = [error_table(experiment, group, cells, part) for group, part in zip(groups, parts, strict=False)]
+        if experiment == 4 and findings.times:
+            own = [time_table(findings.times)]
+        if own:
+            made[table] = own
+    return made
+
+
+def overview(findings: Findings) -> Table:
+    """Pairs found and median RMSE everywhere, stations apart included."""
+    return beyond_table(GROUPS, summarize(findings.errors))
+
+
+def markdown(findings: Findings, machine: str, pictures: Sequence[tuple[str, str]]) -> str:
+    """The whole document.
+
+    Args:
+        findings: what was measured.
+        machine: in words, for the last line.
+        pictures: file and caption of each.
+    """
+    parts = ["# The paper's experiments"]
+    parts += [captions.QUICK] if findings.quick else []
+    parts += [captions.SETUP, captions.DEVIATIONS]
+    parts += [captions.REAL] if any(row["group"].startswith("real") for row in findings.errors) else []
+    for own in tables(findings).values():
+        parts += [text for table in own for text in (f"## {table.name}: {table.heading}", _text(table))]
+        parts += [captions.TIMES] if own[0].name == "Table 8" else []
+    if findings.errors:
+        table = overview(findings)
+        parts += [f"## {table.name}: {table.heading}", _text(table)]
+    parts += [f"![{caption}]({file})\n\n{caption}" for file, caption in pictures]
+    return "\n\n".join([*parts, machine]) + "\n"
+
+
+def csv_files(findings: Findings) -> dict[str, str]:
+    """One CSV for each of the paper's tables, a line for every number: what it is, the paper's, ours with spread."""
+    files = {}
+    head = ["experiment", "setting", "places", "method", "measure"]
+    head += ["paper", "mean", "standard_deviation", "median", "least", "most", "found", "runs"]
+    lines: dict[int, list[list[object]]] = {}
+    for (experiment, setting, group, method), cell in summarize(findings.errors).items():
+        printed = ERRORS.get((experiment, setting, method))
+        for measure in MEASURES:
+            paper = getattr(printed, measure, None)
+            names = [experiment, setting, group, method, measure]
+            lines.setdefault(TABLES[experiment], []).append(
+                [*names, paper, *cell.spreads[measure], cell.found, cell.runs]
+            )
+    for table, own in lines.items():
+        files[f"table{table}.csv"] = csv_table(head, own)
+    if findings.times:
+        files["table8.csv"] = _time_csv(findings.times)
+    return files
+
+
+def _time_csv(rows: Sequence[Row]) -> str:
+    head = ["setting", "points", "span", "method", "paper_seconds", "added_by_pcfh", "round", "seconds"]
+    lines: list[list[object]] = []
+    for row in rows:
+        for name, seconds in row["seconds"].items():
+            span, method = name.split("/", 1)
+            paper = SECONDS[row["setting"], method]
+            same = [row["setting"], row["points"], span, method, paper, added(row, span)]
+            lines += [[*same, i, s] for i, s in enumerate(seconds)]
+    return csv_table(head, lines)
+
+
+def _groups(findings: Findings, experiment: int) -> list[Group]:
+    there = {row["group"] for row in findings.errors if row["experiment"] == experiment}
+    return [group for group in GROUPS if group.name in there]
+
+
+def _text(table: Table) -> str:
+    return markdown_table(table.head, table.rows)

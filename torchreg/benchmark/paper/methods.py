@@ -1,0 +1,40 @@
+"""What is compared: FPFH alone, the paper's fusion, and the fusion without histogram equalization of hue."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torchreg.benchmark.paper.printed import FPFH, FUSED
+from torchreg.registration import PAPER
+from torchreg.types import RegistrationOptions
+
+PLAIN_HUE = "FPFH + PCFH, hue not equalized"
+
+METHODS = (FPFH, FUSED, PLAIN_HUE)
+"""In the order of the tables' columns; the paper prints the first two."""
+
+TITLES = {
+    FPFH: "FPFH-based algorithm",
+    FUSED: "Color-enhanced FPFH-based algorithm",
+    PLAIN_HUE: "Color-enhanced, hue not equalized",
+}
+
+
+def options_of(method: str, *, scale: float = 1.0, hypotheses: int = 600_000) -> RegistrationOptions:
+    """The paper's parameters (section 4.1) for one method.
+
+    Args:
+        method: one of ``METHODS``.
+        scale: of all lengths: 1 for the paper's, in meters.
+        hypotheses: how many RANSAC draws at most.
+    """
+    options = replace(
+        PAPER,
+        normal_radius=scale * PAPER.normal_radius,
+        feature_radius=scale * PAPER.feature_radius,
+        color_radius=scale * PAPER.color_radius,
+        ransac=replace(PAPER.ransac, inlier_threshold=scale * PAPER.ransac.inlier_threshold, hypotheses=hypotheses),
+    )
+    if method == FPFH:
+        return replace(options, color=(), color_weights=())
+    return options if method == FUSED else replace(options, equalization="none")

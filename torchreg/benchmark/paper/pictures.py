@@ -1,0 +1,70 @@
+"""All pictures of a run, by file name: the paper's Figures 3 to 6 on our scans, and a chart for each experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import torch
+
+from torchreg.benchmark.paper.charts import errors_chart, times_chart
+from torchreg.benchmark.paper.clouds_figure import Shown, clouds_figure
+from torchreg.benchmark.paper.document import Findings
+from torchreg.benchmark.paper.methods import METHODS
+from torchreg.benchmark.paper.places import GROUPS, Place
+from torchreg.benchmark.paper.run import key_of, trial
+from torchreg.benchmark.paper.settings import settings_of
+from torchreg.benchmark.paper.size import Size
+from torchreg.report import save_figure
+
+FIGURES = {1: 3, 2: 4, 3: 5, 5: 6}
+"""The paper's figure with the clouds of each experiment."""
+
+
+def draw(
+    folder: Path, findings: Findings, places: Sequence[Place], experiments: Sequence[int], size: Size
+) -> Iterator[tuple[str, str]]:
+    """Draw and write everything that the findings allow; yields file name and caption of each picture.
+
+    Args:
+        folder: where the files go.
+        findings: what was measured.
+        places: of the run; of each group as in the paper the first one is drawn.
+        experiments: which.
+        size: of the run.
+    """
+    first = {place.group.name: place for place in reversed(places) if place.group.paper}
+    for experiment in experiments:
+        if experiment == 4:
+            if findings.times:
+                save_figure(times_chart(findings.times), folder / "chart_experiment4.png")
+                yield "chart_experiment4.png", "Experiment 4: times of ours and of the paper over the number of points."
+            continue
+        outdoor = settings_of(experiment)[0].outdoor
+        for place in first.values():
+            if place.group.outdoor == outdoor:
+                yield _clouds(folder, findings, place, experiment, size)
+        there = {row["group"] for row in findings.errors if row["experiment"] == experiment}
+        groups = [group for group in GROUPS if group.name in there and group.paper]
+        name = f"chart_experiment{experiment}.png"
+        save_figure(errors_chart(experiment, groups, findings.errors), folder / name)
+        yield name, f"Experiment {experiment}: errors at every place, their median, and the paper's numbers."
+
+
+def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, size: Size) -> tuple[str, str]:
+    by_key = {row["key"]: row for row in findings.errors}
+    clouds = place.clouds()
+    columns = []
+    for setting in settings_of(experiment):
+        one = trial(clouds, setting, place, size, torch.device("cpu"))
+        found = {name: by_key[key] for name in METHODS if (key := key_of(setting, place, name)) in by_key}
+        counts = " and ".join(f"{len(cloud.points):,}" for cloud in (one.source, one.target))
+        columns.append(Shown(f"{_HEADINGS[experiment]}{setting.name}: {counts} points", *one, found))
+    number = FIGURES[experiment]
+    name = f"figure{number}_{place.group.name.replace(' ', '_')}.png"
+    title = f"As in the paper's Figure {number}: {place.name}, {place.group.title}"
+    save_figure(clouds_figure(columns, title), folder / name)
+    return name, f"Experiment {experiment} on {place.name}: the initial pose, and what each method found."
+
+
+_HEADINGS = {1: "initial pose ", 2: "", 3: "", 5: ""}

@@ -1,0 +1,122 @@
+"""Which scans stand for the paper's mall and for its road.
+
+The paper scanned twice from the same place and then moved the target by an artificial transform, so that the truth is
+exact. The simulated scans are taken likewise: two stations 0.1 m apart (the least that the simulators take), each scan
+with noise, light and passers-by of its own. Stations farther apart are the harder case that surveys have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from torchreg.benchmark.paper.real import RealPair, real_pairs
+from torchreg.datasets import ScanPair, mall
+from torchreg.datasets import mall as road
+from torchreg.errors import at_least
+from torchreg.geometry.se3 import transform
+from torchreg.registration import PAPER
+from torchreg.types import Clouds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Places whose results are one column of a table: their mean and spread are taken over these places.
+
+    Attributes:
+        name: a few words.
+        title: the same in full.
+        outdoor: stands for the road rather than the mall.
+        paper: scanned as in the paper, and not a variant that goes beyond it.
+    """
+
+    name: str
+    title: str
+    outdoor: bool = False
+    paper: bool = True
+
+
+MALL = Group(name="mall", title="simulated mall, both scans from one place")
+MALL_APART = tuple(
+    Group(name=f"mall, {meters} m apart", title=f"simulated mall, stations {meters} m apart", paper=False)
+    for meters in (1, 6)
+)
+ROAD = Group(name="road", title="simulated road, both scans from one place", outdoor=True)
+ROAD_APART = Group(name="road, 6 m apart", title="simulated road, stations 6 m apart", outdoor=True, paper=False)
+REAL = Group(name="real rooms", title="real rooms, RGB-D")
+REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outdoor=True)
+
+GROUPS = (MALL, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
+
+_SAME_PLACE = 0.1  # meters
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """One pair of scans.
+
+    Attributes:
+        group: what it stands for.
+        name: different for every place.
+        number: of the place within its group, which seeds what is drawn for it.
+        scale: of the paper's lengths.
+        scan: makes or reads the two scans.
+    """
+
+    group: Group
+    name: str
+    number: int
+    scale: float
+    scan: Callable[[], ScanPair]
+
+    def clouds(self) -> tuple[Clouds, Clouds]:
+        """Source and target in the target's frame: the same coordinates for the same surface."""
+        pair = self.scan()
+        return transform(pair.source, pair.T_target_source), pair.target
+
+
+def simulated_places(seed: int, count: int, *, angular_step: float, variants: bool = True) -> tuple[Place, ...]:
+    """Malls and roads ``seed`` to ``seed + count - 1``, from one place and, as variants, from two.
+
+    Raises:
+        ValueError: ``seed`` below 0 or ``count`` below 1.
+    """
+    at_least(seed, "seed", 0)
+    at_least(count, "seeds", 1)
+    wanted = [(mall, MALL, _SAME_PLACE), (road, ROAD, _SAME_PLACE)]
+    if variants:
+        wanted += [(mall, MALL_APART[0], 1.0), (mall, MALL_APART[1], 6.0), (road, ROAD_APART, 6.0)]
+    return tuple(
+        Place(
+            group=group,
+            name=f"{group.name}-{number}",
+            number=number,
+            scale=1.0,
+            scan=partial(simulate, number, baseline=baseline, angular_step=angular_step),
+        )
+        for simulate, group, baseline in wanted
+        for number in range(seed, seed + count)
+    )
+
+
+def real_places(folder: Path, seed: int) -> tuple[Place, ...]:
+    """The real pairs with colors and much overlap, in the order of the folder's list.
+
+    Their clouds are smaller or larger than a mall: the inlier threshold is the spacing that the list gives for a pair,
+    and all other lengths keep the paper's proportions to it.
+
+    Raises:
+        CloudFileError: as ``real_pairs``.
+    """
+    return tuple(
+        Place(
+            group=REAL_OUTDOOR if pair.outdoor else REAL,
+            name=pair.name,
+            number=seed,
+            scale=pair.spacing / PAPER.ransac.inlier_threshold,
+            scan=partial(RealPair.read, pair),
+        )
+        for pair in real_pairs(folder)
+    )

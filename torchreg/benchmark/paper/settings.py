@@ -1,0 +1,87 @@
+"""The settings of the paper's experiments (section 4.1, its Tables 1 to 4), as data.
+
+The paper gives roll, pitch and yaw without the order in which they turn. Here R = Rz(yaw) Ry(pitch) Rx(roll); another
+order gives another initial pose, which matters to no method that needs no first guess.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.se3 import rigid
+
+
+class InitialPose(NamedTuple):
+    """How the target is moved before the registration: the truth that is then to be found.
+
+    Attributes:
+        roll, pitch, yaw: degrees about x, y and z.
+        x, y, z: meters.
+    """
+
+    roll: float
+    pitch: float
+    yaw: float
+    x: float
+    y: float
+    z: float
+
+    def matrix(self) -> Tensor:
+        """``T_moved_target`` (4, 4) float64: turned, then shifted."""
+        R = _turn(2, self.yaw) @ _turn(1, self.pitch) @ _turn(0, self.roll)
+        return rigid(R, torch.tensor([self.x, self.y, self.z], dtype=torch.float64))
+
+
+class Setting(NamedTuple):
+    """One column of the paper's tables.
+
+    Attributes:
+        experiment: 1, 2, 3 or 5.
+        name: of the column.
+        points: of the source and of the target, drawn at random.
+        pose: the initial one.
+        outdoor: the road rather than the mall.
+    """
+
+    experiment: int
+    name: str
+    points: tuple[int, int]
+    pose: InitialPose
+    outdoor: bool = False
+
+
+SETTINGS = (
+    Setting(1, "1", (10_000, 10_000), InitialPose(55.08, -9.61, -55.52, -20.097, 20.474, 24.060)),
+    Setting(1, "2", (10_000, 10_000), InitialPose(60.63, -84.00, 97.76, 8.376, -7.014, 8.380)),
+    Setting(1, "3", (10_000, 10_000), InitialPose(33.68, 41.03, 17.52, -3.523, -0.243, 1.931)),
+    Setting(2, "12k / 4k", (12_000, 4_000), InitialPose(-2.38, -68.74, 30.71, 3.362, 3.933, -3.000)),
+    Setting(3, "4k", (4_000, 4_000), InitialPose(55.97, 14.39, -34.77, 4.479, 2.380, 1.579)),
+    Setting(3, "2k", (2_000, 2_000), InitialPose(-39.97, 35.47, -18.12, 0.666, 0.087, -2.754)),
+    Setting(3, "1k", (1_000, 1_000), InitialPose(-11.23, -58.75, -22.35, 4.966, 4.855, -4.406)),
+    Setting(3, "0.5k", (500, 500), InitialPose(-28.28, -61.12, -19.60, -3.183, 4.865, 1.291)),
+    Setting(5, "road", (10_000, 10_000), InitialPose(52.47, 23.51, -56.22, -97.50, 81.86, 81.90), outdoor=True),
+)
+"""Tables 1 to 4. Experiment 4 measures times with the point counts of Experiment 3."""
+
+EXPERIMENTS = (1, 2, 3, 4, 5)
+
+TABLES = {1: 5, 2: 6, 3: 7, 4: 8, 5: 9}
+"""The paper's table with the results of each experiment."""
+
+
+def settings_of(experiment: int) -> tuple[Setting, ...]:
+    """The settings of one experiment, in the order of the paper's columns; none for Experiment 4."""
+    return tuple(setting for setting in SETTINGS if setting.experiment == experiment)
+
+
+def _turn(axis: int, degrees: float) -> Tensor:
+    """A rotation (3, 3) about a coordinate axis."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    R = torch.eye(3, dtype=torch.float64)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R[i, i], R[j, j], R[i, j], R[j, i] = c, c, -s, s
+    return R

@@ -1,0 +1,106 @@
+"""``torchreg bench paper``: the paper's five experiments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torchreg.cli import options as opt
+from torchreg.cli.device import use
+from torchreg.cli.guard import complain
+from torchreg.cli.output import standard_output
+from torchreg.errors import expect
+from torchreg.report.text import legible
+
+if TYPE_CHECKING:
+    from torchreg.benchmark.paper.document import Findings
+
+_A_FOLDER = "a folder, or a name for one in a folder that exists"
+
+Out = Annotated[
+    Path,
+    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
+]
+Experiments = Annotated[
+    list[int] | None,
+    typer.Option("--experiment", metavar="1..5", min=1, max=5, help="Only this one (a number, no unit; repeatable)."),
+]
+Seeds = Annotated[
+    int | None,
+    typer.Option(
+        "--seeds", metavar="COUNT", min=1, help="How many simulated malls and roads (a count; 10, or 1 with --quick)."
+    ),
+]
+Real = Annotated[
+    Path | None,
+    typer.Option(
+        "--real",
+        metavar="FOLDER",
+        help="Also on the real pairs that FOLDER/pairs.json lists (a path); only those with colors and much overlap.",
+    ),
+]
+Quick = Annotated[
+    bool,
+    typer.Option(
+        "--quick", help="A quarter of the points and coarse scans, to see within seconds how it works (a switch)."
+    ),
+]
+
+
+def paper(
+    out: Out = Path("torchreg_paper"),
+    experiment: Experiments = None,
+    seeds: Seeds = None,
+    real: Real = None,
+    quick: Quick = False,
+    seed: opt.Seed = 0,
+    device: opt.DeviceName = opt.Device.cpu,
+    threads: opt.Threads = None,
+) -> None:
+    """Run the paper's five experiments, and print its Tables 5 to 9 with our numbers beside its own.
+
+    Experiments: 1 three initial poses at 10,000 points, 2 12,000 points against 4,000, 3 4,000 down to 500 points, 4
+    times with and without color, 5 an outdoor road. FPFH alone, FPFH + PCFH, and the same without histogram
+    equalization, on simulated scans and, with --real, on real ones; all lengths in meters.
+
+    FOLDER holds paper.md with all tables and pictures, the tables as CSV, and paper.json. A run that was cut off goes
+    on where it stopped.
+
+    Exit code 0: everything is there. 2: bad usage, or a file that cannot be read.
+    """
+    from torchreg.benchmark.paper.session import Session
+    from torchreg.benchmark.paper.settings import EXPERIMENTS
+
+    expect(out.is_dir() or (not out.exists() and out.absolute().parent.is_dir()), "--out", _A_FOLDER, str(out))
+    chosen = tuple(sorted(set(experiment))) if experiment else EXPERIMENTS
+
+    session = Session(
+        out=out,
+        experiments=chosen,
+        seeds=seeds or (1 if quick else 10),
+        seed=seed,
+        real=real,
+        quick=quick,
+        device=use(device, threads).type,
+    )
+    _show(session.run(report=complain), out)
+
+
+def _show(findings: Findings, out: Path) -> None:
+    """The overview, what PCFH adds to the times, and where the rest lies."""
+    from rich.table import Table
+
+    from torchreg.benchmark.paper.document import overview
+    from torchreg.benchmark.paper.time_table import time_table
+
+    shown = [overview(findings)] if findings.errors else []
+    shown += [time_table(findings.times)] if findings.times else []
+    console = standard_output()
+    for one in shown:
+        table = Table(*one.head, title=one.heading, title_justify="left")
+        for row in one.rows:
+            table.add_row(*row)
+        console.print(table)
+    console.print(f"All tables and pictures: {legible(str(out / 'paper.md'))}", soft_wrap=True)
