@@ -25,6 +25,7 @@ COLORS = dict(zip(METHODS, ("#0072b2", "#d55e00", "#cc79a7"), strict=True))
 
 _PANEL = (4.4, 2.9)  # inches
 _AXIS_NAMES = {1: "initial pose", 2: "points", 3: "points", 5: "scene"}
+_BAR = 0.8 / len(METHODS)
 _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
@@ -38,11 +39,14 @@ def errors_chart(experiment: int, groups: Sequence[Group], rows: Sequence[Row]) 
     """
     settings = [setting.name for setting in settings_of(experiment)]
     figure = _figure(len(LABELS), len(groups))
-    panels = figure.subplots(len(groups), len(LABELS), squeeze=False, sharey="col")
+    panels = figure.subplots(len(groups), len(LABELS), squeeze=False)
     for group, row in zip(groups, panels, strict=True):
         own = [one for one in rows if one["experiment"] == experiment and one["group"] == group.name]
         for (measure, label), ax in zip(LABELS.items(), row, strict=True):
-            _error_panel(ax, experiment, settings, own, measure)
+            _error_panel(ax, settings, own, measure)
+            if not group.real:
+                _printed(ax, experiment, settings, measure)
+            _logarithmic(ax)
             ax.set_ylabel(label.replace("/", " in "), fontsize=9)
             ax.set_xlabel(_AXIS_NAMES[experiment], fontsize=9)
         row[0].set_title(group.title, fontsize=10, loc="left")
@@ -74,25 +78,45 @@ def times_chart(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _error_panel(ax: Axes, experiment: int, settings: Sequence[str], rows: Sequence[Row], measure: str) -> None:
-    width = 0.8 / len(METHODS)
+def _error_panel(ax: Axes, settings: Sequence[str], rows: Sequence[Row], measure: str) -> None:
     for place, name in enumerate(settings):
-        for i, method in enumerate(METHODS):
-            x = place + (i - (len(METHODS) - 1) / 2) * width
+        for method in METHODS:
+            x = _across(place, method)
             own = [max(row[measure], _LEAST) for row in rows if (row["setting"], row["method"]) == (name, method)]
             if own:
-                spread = np.linspace(-0.25, 0.25, len(own)) * width if len(own) > 1 else np.zeros(1)
+                spread = np.linspace(-0.25, 0.25, len(own)) * _BAR if len(own) > 1 else np.zeros(1)
                 ax.plot(x + spread, sorted(own), "o", color=COLORS[method], markersize=3.5, alpha=0.7)
-                ax.plot([x - 0.4 * width, x + 0.4 * width], [median(own)] * 2, color=COLORS[method], linewidth=2)
-            printed = ERRORS.get((experiment, name, method))
-            if printed is not None:
-                value = getattr(printed, measure)
-                ax.plot(x, value, "D", color=COLORS[method], markeredgecolor="black", markersize=6)
-    ax.set_yscale("log")
+                ax.plot([x - 0.4 * _BAR, x + 0.4 * _BAR], [median(own)] * 2, color=COLORS[method], linewidth=2)
     ax.set_xticks(range(len(settings)), settings)
     ax.set_xlim(-0.6, len(settings) - 0.4)
     ax.tick_params(labelsize=8)
     ax.grid(axis="y", color="0.9")
+
+
+def _printed(ax: Axes, experiment: int, settings: Sequence[str], measure: str) -> None:
+    """The paper's numbers."""
+    for place, name in enumerate(settings):
+        for method in METHODS:
+            printed = ERRORS.get((experiment, name, method))
+            if printed is not None:
+                value = getattr(printed, measure)
+                ax.plot(_across(place, method), value, "D", color=COLORS[method], markeredgecolor="black", markersize=6)
+
+
+def _across(place: int, method: str) -> float:
+    """Where a method stands among those of one setting."""
+    return place + (METHODS.index(method) - (len(METHODS) - 1) / 2) * _BAR
+
+
+def _logarithmic(ax: Axes) -> None:
+    """Errors from millimeters to meters on one axis, marked with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    ax.set_yscale("log")
+    low, high = ax.get_ylim()
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300 * low else (1.0,), numticks=20))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter("{x:g}")
 
 
 def _figure(columns: int, rows: int) -> Figure:

@@ -33,7 +33,7 @@ _SHAPE = 0.8  # of a panel: its height over its width
 
 
 class Shown(NamedTuple):
-    """One column: its heading, the clouds with the target in its initial pose, the truth, and a row for each method."""
+    """One row: its heading, the clouds with the target in its initial pose, the truth, and the findings by method."""
 
     heading: str
     source: Clouds
@@ -42,44 +42,43 @@ class Shown(NamedTuple):
     rows: Mapping[str, Row]
 
 
-def clouds_figure(columns: Sequence[Shown], title: str) -> Figure:
-    """Draw the initial pose above, and below it what every method found.
+def clouds_figure(settings: Sequence[Shown], title: str) -> Figure:
+    """Draw a row of panels for each setting: the initial pose, and what every method found.
 
     Args:
-        columns: from left to right.
+        settings: from above.
         title: above all.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     kinds = 1 + len(METHODS)
-    figure = Figure(figsize=(_WIDTH * len(columns) + 0.4, _SHAPE * _WIDTH * kinds + 0.9), layout="constrained")
+    figure = Figure(figsize=(_WIDTH * kinds + 0.4, _SHAPE * _WIDTH * len(settings) + 1.2), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12)
-    panels = figure.subplots(kinds, len(columns), squeeze=False)
-    for column, axes in zip(columns, panels.T, strict=True):
-        source, target = (_upright(cloud, None) for cloud in (column.source, column.target))
+    for shown, axes in zip(settings, figure.subplots(len(settings), kinds, squeeze=False), strict=True):
+        source, target = (_upright(cloud, None) for cloud in (shown.source, shown.target))
         _scatter(axes[0], _oblique(source), _oblique(target))
         _frame(axes[0], np.concatenate((_oblique(source), _oblique(target))))
-        axes[0].set_title(column.heading, fontsize=10)
-        axes[0].set_xlabel("initial pose, seen from above and aside (m)", fontsize=8)
+        axes[0].set_ylabel(shown.heading, fontsize=9)
+        axes[0].set_xlabel("seen aslant from above, meters", fontsize=8)
         for method, ax in zip(METHODS, axes[1:], strict=True):
-            _registered(ax, column, method, source)
-    for text, ax in zip(("initial pose", *METHODS), panels[:, 0], strict=True):
-        ax.set_ylabel(text, fontsize=9)
+            _registered(ax, shown, method, source)
+    for text, ax in zip(("initial pose", *METHODS), figure.axes[:kinds], strict=True):
+        ax.set_title(text, fontsize=10)
     _legend(figure)
     return figure
 
 
-def _registered(ax: Axes, column: Shown, method: str, source: NDArray[Any]) -> None:
+def _registered(ax: Axes, shown: Shown, method: str, source: NDArray[Any]) -> None:
     """The plan of both clouds under what a method found; the slice is that of the truth."""
-    row = column.rows.get(method)
+    row = shown.rows.get(method)
     if row is None:
         ax.set_axis_off()
         return
-    true = _upright(column.target, column.T_target_source)
+    true = _upright(shown.target, shown.T_target_source)
     cut = slice_of(np.concatenate((source, true)), VIEWS[0])
-    moved = _upright(column.target, torch.tensor(row["T_target_source"], dtype=torch.float64))
+    moved = _upright(shown.target, torch.tensor(row["T_target_source"], dtype=torch.float64))
     if cut is not None:
         source, moved = (points[(points[:, 2] >= cut[0]) & (points[:, 2] <= cut[1])] for points in (source, moved))
     _scatter(ax, source[:, :2], moved[:, :2])

@@ -55,7 +55,8 @@ def markdown(findings: Findings, machine: str, pictures: Sequence[tuple[str, str
     parts = ["# The paper's experiments"]
     parts += [captions.QUICK] if findings.quick else []
     parts += [captions.SETUP, captions.DEVIATIONS]
-    parts += [captions.REAL] if any(row["group"].startswith("real") for row in findings.errors) else []
+    real = {group.name for group in GROUPS if group.real}
+    parts += [captions.REAL] if any(row["group"] in real for row in findings.errors) else []
     for own in tables(findings).values():
         parts += [text for table in own for text in (f"## {table.name}: {table.heading}", _text(table))]
         parts += [captions.TIMES] if own[0].name == "Table 8" else []

@@ -54,17 +54,15 @@ def draw(
 def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, size: Size) -> tuple[str, str]:
     by_key = {row["key"]: row for row in findings.errors}
     clouds = place.clouds()
-    columns = []
+    settings = []
     for setting in settings_of(experiment):
         one = trial(clouds, setting, place, size, torch.device("cpu"))
         found = {name: by_key[key] for name in METHODS if (key := key_of(setting, place, name)) in by_key}
         counts = " and ".join(f"{len(cloud.points):,}" for cloud in (one.source, one.target))
-        columns.append(Shown(f"{_HEADINGS[experiment]}{setting.name}: {counts} points", *one, found))
+        pose = f"initial pose {setting.name}\n" if experiment == 1 else ""
+        settings.append(Shown(f"{pose}{counts} points", *one, found))
     number = FIGURES[experiment]
     name = f"figure{number}_{place.group.name.replace(' ', '_')}.png"
     title = f"As in the paper's Figure {number}: {place.name}, {place.group.title}"
-    save_figure(clouds_figure(columns, title), folder / name)
+    save_figure(clouds_figure(settings, title), folder / name)
     return name, f"Experiment {experiment} on {place.name}: the initial pose, and what each method found."
-
-
-_HEADINGS = {1: "initial pose ", 2: "", 3: "", 5: ""}

@@ -30,12 +30,14 @@ class Group:
         title: the same in full.
         outdoor: stands for the road rather than the mall.
         paper: scanned as in the paper, and not a variant that goes beyond it.
+        real: scans of something that is there, at another scale than the paper's.
     """
 
     name: str
     title: str
     outdoor: bool = False
     paper: bool = True
+    real: bool = False
 
 
 MALL = Group(name="mall", title="simulated mall, both scans from one place")
@@ -45,8 +47,8 @@ MALL_APART = tuple(
 )
 ROAD = Group(name="road", title="simulated road, both scans from one place", outdoor=True)
 ROAD_APART = Group(name="road, 6 m apart", title="simulated road, stations 6 m apart", outdoor=True, paper=False)
-REAL = Group(name="real rooms", title="real rooms, RGB-D")
-REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outdoor=True)
+REAL = Group(name="real rooms", title="real rooms, RGB-D", real=True)
+REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outdoor=True, real=True)
 
 GROUPS = (MALL, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
 
