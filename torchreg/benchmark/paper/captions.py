@@ -6,7 +6,8 @@ SETUP = """\
 Parameters are the paper's (section 4.1): normals 2 m / 30, FPFH 5 m / 100, PCFH 2 m / 11 bins of hue equalized per
 cloud, mutual nearest neighbors, edge similarity 0.9, inlier threshold 0.2 m, 600,000 hypotheses at confidence 0.999,
 three matches a sample, no refinement afterwards. Points are drawn at random. RRE, RTE and RMSE are the paper's Eq. (5)
-to (7), RMSE over the drawn source points, for the transform found whether or not it was called a success.
+to (7), RMSE over the drawn source points, RTE at the place of the target's scanner, for the transform found whether or
+not it was called a success.
 
 Cells of ours are mean ± standard deviation over the places; one registration that failed moves a mean far, so the
 median RMSE and the number of pairs found (RRE below 15 degrees and RTE below 0.3 m, or 1.5 inlier thresholds where

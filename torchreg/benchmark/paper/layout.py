@@ -74,7 +74,7 @@ def _block(experiment: int, method: str, settings: Sequence[str], group: Group, 
     own = [cells.get((experiment, name, group.name, method)) for name in settings]
     lines = []
     for measure, label in LABELS.items():
-        lines.append([f"{label}, paper", *("-" if one is None else f"{getattr(one, measure):g}" for one in printed)])
+        lines.append([f"{label}, paper", *("-" if one is None else as_printed(getattr(one, measure), 3) for one in printed)])
         lines.append([f"{label}, ours", *(_spread(cell, measure) for cell in own)])
     lines.append(["RMSE/m, our median", *(_median(cell, "rmse_meters") for cell in own)])
     lines.append(["found", *("-" if cell is None else f"{cell.found} / {cell.runs}" for cell in own)])
@@ -95,6 +95,11 @@ def _median(cell: Cell | None, measure: str) -> str:
 
 def _short(cell: Cell | None) -> str:
     return "-" if cell is None else f"{cell.found} / {cell.runs}, {_median(cell, 'rmse_meters')}"
+
+
+def as_printed(value: float, decimals: int) -> str:
+    """A number of the paper with the zeros that it prints; those with more digits keep them."""
+    return f"{value:.{decimals}f}" if round(value, decimals) == value else f"{value:g}"
 
 
 def number(value: float) -> str:

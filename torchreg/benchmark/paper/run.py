@@ -19,6 +19,7 @@ from torchreg.geometry.se3 import transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample
 from torchreg.registration import register
+from torchreg.registration.describe import downsample
 from torchreg.types import Clouds
 
 
@@ -92,7 +93,9 @@ def _measured(one: Trial, setting: Setting, place: Place, method: str, size: Siz
     seconds = time.perf_counter() - begin
     truth = one.T_target_source[None].to(one.source.device)
     threshold = options.ransac.inlier_threshold
-    ratio = inlier_ratio(one.source, one.target, result.correspondences, truth, threshold)
+    # the matches speak of the points in the order in which register took them
+    taken = [downsample(cloud, result.options) for cloud in (one.source, one.target)]
+    ratio = inlier_ratio(*taken, result.correspondences, truth, threshold)
     errors = pose_errors(one.source, one.T_target_source, T[0])
     return {
         "key": key_of(setting, place, method),

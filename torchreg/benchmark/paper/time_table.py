@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from statistics import median
 
-from torchreg.benchmark.paper.layout import Table
+from torchreg.benchmark.paper.layout import Table, as_printed
 from torchreg.benchmark.paper.printed import SECONDS
 from torchreg.benchmark.paper.rows import Row
 from torchreg.benchmark.paper.settings import settings_of
@@ -17,7 +17,7 @@ def time_table(rows: Sequence[Row]) -> Table:
     """Table 8 from the rows of Experiment 4: medians with their range, with their range."""
     names = [setting.name for setting in settings_of(3)]
     by_name: Mapping[str, Row] = {row["setting"]: row for row in rows}
-    lines = [[f"{method}, paper", *(f"{SECONDS[name, method]:g} s" for name in names)] for method in TIMED]
+    lines = [[f"{method}, paper", *(f"{as_printed(SECONDS[name, method], 4)} s" for name in names)] for method in TIMED]
     for span in SPANS:
         for method in TIMED:
             texts = [_seconds(by_name.get(name), f"{span}/{method}") for name in names]

@@ -1,0 +1,163 @@
+"""Tables, charts and pictures from rows made by hand."""
+
+import csv
+import io
+
+import pytest
+import torch
+
+from torchreg.benchmark.paper.charts import errors_chart, times_chart
+from torchreg.benchmark.paper.document import Findings, csv_files, markdown, overview, tables
+from torchreg.benchmark.paper.layout import as_printed, number
+from torchreg.benchmark.paper.methods import METHODS
+from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, ROAD
+from torchreg.benchmark.paper.printed import FPFH, FUSED
+from torchreg.benchmark.paper.settings import SETTINGS, settings_of
+from torchreg.benchmark.paper.summary import found, spread_of, summarize
+from torchreg.benchmark.paper.time_table import added, time_table
+from torchreg.benchmark.paper.times import SPANS, TIMED
+
+
+def row(setting, group, place, method, rre=1.0, rte=0.1, rmse=0.2, threshold=0.2):
+    return {
+        "key": f"{setting.experiment}/{setting.name}/{group.name}-{place}/{method}",
+        "experiment": setting.experiment,
+        "setting": setting.name,
+        "group": group.name,
+        "method": method,
+        "rre_degrees": rre,
+        "rte_meters": rte,
+        "rmse_meters": rmse,
+        "inlier_ratio": 0.25,
+        "threshold": threshold,
+        "T_target_source": torch.eye(4).tolist(),
+    }
+
+
+def time_row(name, points):
+    seconds = {f"{span}/{m}": [0.01, 0.02, 0.03] for span in SPANS for m in TIMED}
+    seconds[f"{SPANS[0]}/{FUSED}"] = [0.011, 0.022, 0.033]
+    return {"experiment": 4, "setting": name, "points": points, "seconds": seconds}
+
+
+@pytest.fixture
+def findings():
+    """Three places a setting, whose errors are one, two and three times a number; only the third is lost."""
+    errors = [
+        row(setting, group, place, method, rre=8.0 * place, rte=0.09 * place, rmse=0.5 * place)
+        for group in (MALL, REAL, ROAD)
+        for setting in SETTINGS
+        if setting.outdoor == group.outdoor
+        for method in METHODS
+        for place in (1, 2, 3)
+    ]
+    times = [time_row(s.name, s.points[0]) for s in settings_of(3)]
+    return Findings(errors, times, quick=False)
+
+
+def test_tables_have_the_papers_numbers_and_columns(findings):
+    made = tables(findings)
+    assert list(made) == [5, 6, 7, 8, 9]
+    five = made[5][0]
+    assert five.rows[0] == ["Initial pose", *"123" * 3]
+    lines = {line[0]: line[1:] for line in five.rows}
+    assert lines["RRE/°, paper"] == ["2.904", "4.084", "1.313", "0.824", "1.025", "0.635", "-", "-", "-"]
+    assert lines["RTE/m, paper"][:6] == ["0.0638", "0.279", "0.099", "0.104", "0.091", "0.070"]
+    assert lines["RRE/°, ours"] == ["16.0 ± 8.000"] * 9
+    assert lines["RMSE/m, our median"] == ["1.000"] * 9
+    assert lines["found"] == ["1 / 3"] * 9
+    assert [table.name for table in made[5]] == ["Table 5a", "Table 5b"]
+    assert made[9][0].name == "Table 9"
+    assert len(made[6][0].head) == 4
+    for own in made.values():
+        for table in own:
+            assert all(len(line) == len(table.head) for line in table.rows), table.name
+
+
+def test_table_7_stacks_the_methods_as_the_paper_does(findings):
+    table = tables(findings)[7][0]
+    assert table.head == ["Point count", "4k", "2k", "1k", "0.5k"]
+    headings = [line[0] for line in table.rows if line[0].startswith("**")]
+    assert headings[:2] == ["**FPFH-based algorithm**", "**Color-enhanced FPFH-based algorithm**"]
+    printed = [line[1:] for line in table.rows if line[0] == "RRE/°, paper"]
+    assert printed[0] == ["1.440", "39.795", "10.109", "29.795"]
+    assert printed[1] == ["1.633", "2.108", "2.987", "21.990"]
+
+
+def test_table_8_prints_the_slip_as_it_stands(findings):
+    lines = {line[0]: line[1:] for line in time_table(findings.times).rows}
+    assert lines["FPFH, paper"] == ["0.0034 s", "0.0025 s", "0.0010 s", "0.0006 s"]
+    assert lines["FPFH + PCFH, paper"][0] == "0.00036 s"
+    assert lines[f"FPFH, {SPANS[0]}"][0] == "20 ms (10 to 30)"
+    assert lines[f"added by PCFH, {SPANS[0]}"] == ["+10%"] * 4
+    assert added(findings.times[0], SPANS[1]) == 0
+
+
+def test_a_run_of_one_experiment_has_its_table_alone(findings):
+    only = [one for one in findings.errors if one["experiment"] == 2 and one["group"] == MALL.name]
+    made = tables(Findings(only, [], quick=False))
+    assert list(made) == [6]
+    assert made[6][0].name == "Table 6"
+    assert len(overview(Findings(only, [], quick=False)).rows) == 1
+
+
+def test_markdown_says_what_kind_of_run_it_was(findings):
+    whole = markdown(findings, "a processor", [("a.png", "a picture")])
+    assert "quick" not in whole
+    assert "![a picture](a.png)" in whole
+    assert whole.endswith("a processor\n")
+    assert "Real rooms" in whole
+    simulated = [one for one in findings.errors if one["group"] == MALL.name]
+    quick = markdown(Findings(simulated, [], quick=True), "a processor", [])
+    assert "not comparable" in quick
+    assert "Real rooms" not in quick
+
+
+def test_csv_holds_every_number(findings):
+    files = csv_files(findings)
+    assert sorted(files) == [f"table{n}.csv" for n in (5, 6, 7, 8, 9)]
+    lines = list(csv.DictReader(io.StringIO(files["table9.csv"])))
+    assert len(lines) == len(METHODS) * 4
+    first = lines[0]
+    assert (first["places"], first["method"], first["measure"]) == ("road", FPFH, "rre_degrees")
+    assert (float(first["paper"]), float(first["mean"]), float(first["most"])) == (0.281, 16.0, 24.0)
+    assert (first["found"], first["runs"]) == ("1", "3")
+    assert len(list(csv.DictReader(io.StringIO(files["table8.csv"])))) == 4 * len(SPANS) * len(TIMED) * 3
+
+
+def test_spread_of_one_place_has_no_deviation(findings):
+    assert spread_of([2.0]) == (2.0, None, 2.0, 2.0, 2.0)
+    assert spread_of([1.0, 3.0]).deviation == pytest.approx(2**0.5)
+    one = Findings(findings.errors[:1], [], quick=False)
+    assert "±" not in markdown(one, "", []).split("## ")[1]
+
+
+@pytest.mark.parametrize(
+    ("rre", "rte", "threshold", "right"),
+    [(14.9, 0.29, 0.2, True), (15.1, 0.1, 0.2, False), (1.0, 0.31, 0.2, False), (1.0, 0.44, 0.3, True)],
+)
+def test_found_has_two_bounds(rre, rte, threshold, right):
+    assert found(row(SETTINGS[0], MALL, 0, FPFH, rre=rre, rte=rte, threshold=threshold)) is right
+
+
+def test_cells_do_not_mix_groups_or_methods(findings):
+    cells = summarize(findings.errors)
+    assert {cell.runs for cell in cells.values()} == {3}
+    assert len(cells) == (8 * 2 + 1) * len(METHODS)
+
+
+def test_numbers_keep_the_papers_zeros():
+    assert [as_printed(x, 3) for x in (2.1, 0.0638, 172.51)] == ["2.100", "0.0638", "172.510"]
+    assert [number(x) for x in (0.1234, 9.9, 123.45)] == ["0.123", "9.900", "123.5"]
+
+
+def test_charts_draw_every_dot_and_the_papers_numbers(findings):
+    groups = [group for group in GROUPS if group in (MALL, REAL)]
+    chart = errors_chart(3, groups, findings.errors)
+    assert len(chart.axes) == 6
+    for ax, real in zip(chart.axes, [False] * 3 + [True] * 3, strict=True):
+        dots = sum(len(line.get_xdata()) for line in ax.lines if line.get_marker() == "o")
+        diamonds = sum(line.get_marker() == "D" for line in ax.lines)
+        assert dots == 4 * 3 * len(METHODS)
+        assert diamonds == (0 if real else 4 * 2)
+    assert len(times_chart(findings.times).axes) == len(SPANS)
