@@ -74,7 +74,9 @@ def _block(experiment: int, method: str, settings: Sequence[str], group: Group, 
     own = [cells.get((experiment, name, group.name, method)) for name in settings]
     lines = []
     for measure, label in LABELS.items():
-        lines.append([f"{label}, paper", *("-" if one is None else as_printed(getattr(one, measure), 3) for one in printed)])
+        lines.append(
+            [f"{label}, paper", *("-" if one is None else as_printed(getattr(one, measure), 3) for one in printed)]
+        )
         lines.append([f"{label}, ours", *(_spread(cell, measure) for cell in own)])
     lines.append(["RMSE/m, our median", *(_median(cell, "rmse_meters") for cell in own)])
     lines.append(["found", *("-" if cell is None else f"{cell.found} / {cell.runs}" for cell in own)])

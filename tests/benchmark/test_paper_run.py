@@ -1,0 +1,202 @@
+"""Measuring: rows that survive a cut, draws, places, and lists of real pairs."""
+
+import json
+import math
+
+import pytest
+import torch
+from problems import room_pair
+from refusals import refuses
+
+import torchreg as tr
+from torchreg.benchmark.paper.methods import FUSED
+from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, Place, real_places, simulated_places
+from torchreg.benchmark.paper.rows import FILE, Rows
+from torchreg.benchmark.paper.run import measure, trial
+from torchreg.benchmark.paper.session import Session
+from torchreg.benchmark.paper.settings import SETTINGS, settings_of
+from torchreg.benchmark.paper.size import FULL, QUICK
+from torchreg.datasets import ScanPair
+from torchreg.errors import CloudFileError
+
+CPU = torch.device("cpu")
+
+
+def room(number=0, count=1500):
+    """A place that takes no time: a room with colors."""
+    pair = room_pair(count, seed=number + 1)
+    scanned = ScanPair(pair.source, pair.target, pair.T_target_source[0], "room")
+    return Place(group=REAL, name=f"room-{number}", number=number, scale=0.25, scan=lambda: scanned)
+
+
+def test_rows_come_back_and_a_torn_last_line_is_dropped(tmp_path):
+    rows = Rows(tmp_path, {"seed": 1})
+    rows.add({"key": "a", "value": 1.5})
+    rows.add({"key": "b", "value": 2.5})
+    path = tmp_path / FILE
+    path.write_bytes(path.read_bytes()[:-5])
+    again = Rows(tmp_path, {"seed": 1})
+    assert "a" in again
+    assert "b" not in again
+    again.add({"key": "b", "value": 3.5})
+    assert Rows(tmp_path, {"seed": 1})["b"]["value"] == 3.5
+    assert len(path.read_text().splitlines()) == 3
+
+
+def test_rows_of_a_run_cut_off_in_its_first_line(tmp_path):
+    (tmp_path / FILE).write_text('{"seed"')
+    Rows(tmp_path, {"seed": 1}).add({"key": "a"})
+    assert "a" in Rows(tmp_path, {"seed": 1})
+
+
+def test_rows_of_another_run_are_refused(tmp_path):
+    Rows(tmp_path, {"seed": 1, "quick": False})
+    with refuses("--out", "quick True", "False"):
+        Rows(tmp_path, {"seed": 1, "quick": True})
+
+
+@pytest.mark.parametrize("content", ["hello\n", "[1]\n", '{"seed": 1}\n{"value": 2}\n'])
+def test_a_file_that_holds_no_rows_is_left_alone(tmp_path, content):
+    (tmp_path / FILE).write_text(content)
+    with pytest.raises(CloudFileError, match="expected measurements"):
+        Rows(tmp_path, {"seed": 1})
+    assert (tmp_path / FILE).read_text() == content
+
+
+def test_all_initial_poses_see_the_same_points():
+    place = room()
+    clouds = place.clouds()
+    one, other = (trial(clouds, setting, place, FULL, CPU) for setting in settings_of(1)[:2])
+    assert torch.equal(one.source.points, other.source.points)
+    back = [tr.transform(t.target, torch.linalg.inv(t.T_target_source)) for t in (one, other)]
+    placed = [cloud.points.double() + cloud.origin for cloud in back]
+    torch.testing.assert_close(*placed, atol=1e-4, rtol=0)
+
+
+def test_fewer_points_are_part_of_more_and_the_sides_differ():
+    place = room()
+    source, _ = place.clouds()
+    many, few = (trial((source, source), setting, place, FULL, CPU) for setting in settings_of(3)[2:])
+    assert len(many.source.points) == 1000
+    assert len(few.source.points) == 500
+    kept = {tuple(point) for point in many.source.points.tolist()}
+    assert {tuple(point) for point in few.source.points.tolist()} < kept
+    target = tr.transform(few.target, torch.linalg.inv(few.T_target_source))
+    shared = torch.cdist(few.source.points, target.points + target.origin.float()).amin(dim=1) < 1e-4
+    assert float(shared.float().mean()) < 0.6  # of 1,500 points 500 for each: a third by chance
+
+
+def test_the_initial_pose_is_the_truth_that_is_found():
+    """A room that registers well has small errors and true matches: frames, orders and draws fit together."""
+    setting = replace_points(SETTINGS[0], 5000)
+    rows = FakeRows()
+    measure([room(count=6000)], [setting], rows, FULL._replace(hypotheses=50_000), CPU, lambda _: None)
+    assert len(rows) == 3
+    found = next(row for row in rows.values() if row["method"] == FUSED)
+    assert found["rre_degrees"] < 5
+    assert found["rmse_meters"] < 0.1
+    assert found["inlier_ratio"] > 0.1
+    T = torch.tensor(found["T_target_source"], dtype=torch.float64)
+    assert float(tr.metrics.rre(setting.pose.matrix(), T)) == pytest.approx(found["rre_degrees"])
+
+
+def test_nothing_is_measured_twice_and_outdoor_settings_stay_out():
+    rows, told = FakeRows(), []
+    settings = [replace_points(setting, 300) for setting in (*settings_of(2), *settings_of(5))]
+    size = FULL._replace(hypotheses=1000)
+    measure([room()], settings, rows, size, CPU, told.append)
+    before = dict(rows)
+    measure([room()], settings, rows, size, CPU, told.append)
+    assert rows == before
+    assert len(rows) == 3
+    assert told == ["room-0 (1 of 1)"]
+
+
+def test_simulated_places_are_scanned_from_one_place_and_as_variants_from_two():
+    places = simulated_places(3, 2, angular_step=2.0)
+    assert {place.group for place in places} == {group for group in GROUPS if not group.real}
+    assert [place.name for place in places if place.group is MALL] == ["mall-3", "mall-4"]
+    assert len({place.name for place in places}) == len(places)
+    source, target = places[0].clouds()
+    apart = (source.viewpoint + source.origin - target.viewpoint).norm()
+    assert float(apart) == pytest.approx(0.1, abs=1e-4)
+    assert all(place.group.paper for place in simulated_places(0, 1, angular_step=2.0, variants=False))
+    with refuses("seeds"):
+        simulated_places(0, 0, angular_step=2.0)
+    with refuses("seed"):
+        simulated_places(-1, 1, angular_step=2.0)
+
+
+def entry(**changes):
+    T = torch.eye(4).tolist()
+    fields = {"name": "a", "source": "a.ply", "target": "b.ply", "T": T, "voxel_m": 0.05, "colour": True}
+    return {**fields, "difficulty": "easy", "kind": "indoor"} | changes
+
+
+def write_list(folder, *entries):
+    (folder / "pairs.json").write_text(json.dumps({"pairs": list(entries)}))
+
+
+def test_real_places_are_the_easy_pairs_with_colors(tmp_path):
+    write_list(
+        tmp_path,
+        entry(),
+        entry(name="b", difficulty="hard"),
+        entry(name="c", colour=False),
+        entry(name="d", kind="OUTDOOR, castle", voxel_m=0.3),
+    )
+    for name in ("a.ply", "b.ply"):
+        tr.write_cloud(tmp_path / name, tr.Clouds(torch.rand(20, 3), colors=torch.rand(20, 3)))
+    places = real_places(tmp_path, 0)
+    assert [place.name for place in places] == ["a", "d"]
+    assert [place.group.outdoor for place in places] == [False, True]
+    assert [place.scale for place in places] == pytest.approx([0.25, 1.5])
+    assert len(places[0].clouds()[0].points) == 20
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "No such file"),
+        ("{", "expected a list of pairs"),
+        ("[]", "expected a list of pairs"),
+        ('{"pairs": [{"name": "a"}]}', "source"),
+        ('{"pairs": []}', "expected a pair with colors"),
+    ],
+)
+def test_lists_that_cannot_be_used_are_named(tmp_path, content, words):
+    if content is not None:
+        (tmp_path / "pairs.json").write_text(content)
+    with pytest.raises(CloudFileError, match=words) as caught:
+        real_places(tmp_path, 0)
+    assert "pairs.json" in str(caught.value)
+
+
+def test_a_truth_that_is_no_rigid_transform_is_refused(tmp_path):
+    write_list(tmp_path, entry(T=torch.ones(4, 4).tolist()))
+    with pytest.raises(CloudFileError, match="last row"):
+        real_places(tmp_path, 0)
+
+
+def test_sessions_refuse_what_they_cannot_run(tmp_path):
+    with refuses("experiments", "at least one"):
+        Session(out=tmp_path, experiments=())
+    with refuses("experiments", "1 to 5"):
+        Session(out=tmp_path, experiments=(6,))
+    outdoor = Session(out=tmp_path, experiments=(5,), quick=True, seeds=1).places()
+    assert [place.group.outdoor for place in outdoor] == [True]
+    timed = Session(out=tmp_path, experiments=(4,), quick=True, seeds=1).places()
+    assert [place.name for place in timed] == ["mall-0"]
+    assert QUICK.divisor > 1
+    assert math.isclose(FULL.angular_step, 0.4)
+
+
+def replace_points(setting, count):
+    return setting._replace(points=(count, count))
+
+
+class FakeRows(dict):
+    """Rows in memory."""
+
+    def add(self, row):
+        self[row["key"]] = row

@@ -1,0 +1,102 @@
+"""``torchreg bench paper``: quick runs from end to end, resumed and refused."""
+
+import json
+import re
+
+import pytest
+import typer
+
+from torchreg.cli import app as app_module
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """One quick run of Experiment 2: its output and its folder."""
+    from typer.testing import CliRunner
+
+    folder = tmp_path_factory.mktemp("paper") / "out"
+    words = ["bench", "paper", "--quick", "--experiment", "2", "--out", str(folder)]
+    return CliRunner().invoke(app_module.app, words, catch_exceptions=False), folder
+
+
+def test_a_quick_run_of_one_experiment(results):
+    result, folder = results
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        *("paper.md", "paper.json", "rows.jsonl", "table6.csv"),
+        *("figure4_mall.png", "chart_experiment2.png"),
+    }
+    assert "12k / 4k" in result.stdout
+    assert "paper.md" in result.stdout.replace("\n", "")
+    text = (folder / "paper.md").read_text()
+    assert "not comparable" in text
+    for file in re.findall(r"\]\((\S+)\)", text):
+        assert (folder / file).stat().st_size > 10_000
+
+
+def test_json_says_what_the_numbers_depend_on(results):
+    found = json.loads((results[1] / "paper.json").read_text(), parse_constant=pytest.fail)
+    assert {"torch", "torchreg", "processor", "threads"} <= found["machine"].keys()
+    assert found["run"]["quick"] is True
+    assert found["run"]["experiments"] == [2]
+    assert len(found["errors"]) == 3
+    assert all(row["points"] == [3000, 1000] for row in found["errors"])
+
+
+def test_a_finished_run_measures_nothing_again(results, run):
+    _, folder = results
+    rows, text = (folder / "rows.jsonl").read_bytes(), (folder / "table6.csv").read_bytes()
+    (folder / "paper.md").unlink()
+    result = run("bench", "paper", "--quick", "--experiment", "2", "--out", folder)
+    assert result.exit_code == 0
+    assert "mall-0" not in result.stderr
+    assert (folder / "rows.jsonl").read_bytes() == rows
+    assert (folder / "table6.csv").read_bytes() == text
+    assert (folder / "paper.md").exists()
+
+
+def test_a_folder_of_another_run_is_refused(results, run):
+    result = run("bench", "paper", "--quick", "--seed", "7", "--experiment", "2", "--out", results[1])
+    assert result.exit_code == 2
+    assert "--out: expected a folder without measurements, or with seed 7, got" in result.stderr
+
+
+@pytest.mark.slow
+def test_a_quick_run_of_everything(run, tmp_path):
+    result = run("bench", "paper", "--quick", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {f"table{n}.csv" for n in (5, 6, 7, 8, 9)} < names
+    assert {"figure3_mall.png", "figure4_mall.png", "figure5_mall.png", "figure6_road.png"} < names
+    assert {f"chart_experiment{n}.png" for n in (1, 2, 3, 4, 5)} < names
+    text = (tmp_path / "paper.md").read_text()
+    for number in (5, 6, 7, 8, 9):
+        assert f"## Table {number}" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--experiment", "6"], "1<=x<=5"),
+        (["--seeds", "0"], "x>=1"),
+        (["--real", "nowhere"], "nowhere/pairs.json: expected a list of pairs, got No such file"),
+        (["--out", "nowhere/deep"], "--out: expected a folder"),
+    ],
+)
+def test_bad_usage(run, tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    result = run("bench", "paper", "--quick", *words)
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_units_and_exit_codes(run):
+    shown = run("bench", "paper", "--help").stdout
+    assert re.search(r"Exit code\W+0", shown)
+    assert "meters" in shown
+    assert "paper" in run("bench", "--help").stdout
+    command = typer.main.get_command(app_module.app).commands["bench"].commands["paper"]
+    for parameter in command.params:
+        assert re.search(r"count|no unit|path|switch|name|Show this", parameter.help), parameter.name
