@@ -1,6 +1,7 @@
 """The paper's settings and printed numbers, held against what its text says of them."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 import torch
@@ -89,3 +90,9 @@ def test_scale_changes_every_length_and_nothing_else():
     assert lengths == (0.5, 1.25, 0.5, 0.05)
     assert small.ransac.hypotheses == 99
     assert (small.color_bins, small.normal_max_neighbors, small.feature_max_neighbors) == (11, 30, 100)
+
+
+def test_without_refitting_only_the_choice_among_samples_changes():
+    bare = options_of(FUSED, refit=False)
+    assert (bare.ransac.local_optimization, bare.ransac.scoring) == (0, "count")
+    assert replace(bare, ransac=PAPER.ransac) == PAPER

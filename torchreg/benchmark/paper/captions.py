@@ -23,7 +23,8 @@ Where this is not what the paper did:
   and the smaller clouds of Experiment 3 are parts of the larger ones.
 - It does not say how points were drawn, in which order roll, pitch and yaw turn, or how normals are signed. Here: at
   random, Rz(yaw) Ry(pitch) Rx(roll), and towards the scanner.
-- RANSAC scores by MSAC and refits the best hypotheses to their inliers.
+- RANSAC scores by MSAC and refits the best hypotheses to their inliers, of which the paper says nothing; the rows
+  "no refit" of the overview count inliers and take the best sample's transform as it is.
 - No step looks at the initial pose: what differs between poses is the order of the points, and with it the samples
   that RANSAC draws."""
 

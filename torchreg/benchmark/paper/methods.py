@@ -20,20 +20,24 @@ TITLES = {
 }
 
 
-def options_of(method: str, *, scale: float = 1.0, hypotheses: int = 600_000) -> RegistrationOptions:
+def options_of(
+    method: str, *, scale: float = 1.0, hypotheses: int = 600_000, refit: bool = True
+) -> RegistrationOptions:
     """The paper's parameters (section 4.1) for one method.
 
     Args:
         method: one of ``METHODS``.
         scale: of all lengths: 1 for the paper's, in meters.
         hypotheses: how many RANSAC draws at most.
+        refit: ``False`` takes the hypothesis with the most inliers as it is, which may be what the paper did.
     """
+    ransac = replace(PAPER.ransac, inlier_threshold=scale * PAPER.ransac.inlier_threshold, hypotheses=hypotheses)
     options = replace(
         PAPER,
         normal_radius=scale * PAPER.normal_radius,
         feature_radius=scale * PAPER.feature_radius,
         color_radius=scale * PAPER.color_radius,
-        ransac=replace(PAPER.ransac, inlier_threshold=scale * PAPER.ransac.inlier_threshold, hypotheses=hypotheses),
+        ransac=ransac if refit else replace(ransac, local_optimization=0, scoring="count"),
     )
     if method == FPFH:
         return replace(options, color=(), color_weights=())

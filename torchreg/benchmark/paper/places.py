@@ -31,6 +31,7 @@ class Group:
         outdoor: stands for the road rather than the mall.
         paper: scanned as in the paper, and not a variant that goes beyond it.
         real: scans of something that is there, at another scale than the paper's.
+        refit: RANSAC refits its best hypotheses to their inliers.
     """
 
     name: str
@@ -38,9 +39,13 @@ class Group:
     outdoor: bool = False
     paper: bool = True
     real: bool = False
+    refit: bool = True
 
 
 MALL = Group(name="mall", title="simulated mall, both scans from one place")
+MALL_BARE = Group(
+    name="mall, no refit", title="simulated mall, RANSAC by counts alone, no refitting", paper=False, refit=False
+)
 MALL_APART = tuple(
     Group(name=f"mall, {meters} m apart", title=f"simulated mall, stations {meters} m apart", paper=False)
     for meters in (1, 6)
@@ -50,7 +55,7 @@ ROAD_APART = Group(name="road, 6 m apart", title="simulated road, stations 6 m a
 REAL = Group(name="real rooms", title="real rooms, RGB-D", real=True)
 REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outdoor=True, real=True)
 
-GROUPS = (MALL, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
+GROUPS = (MALL, MALL_BARE, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
 
 _SAME_PLACE = 0.1  # meters
 
@@ -89,7 +94,8 @@ def simulated_places(seed: int, count: int, *, angular_step: float, variants: bo
     at_least(count, "seeds", 1)
     wanted = [(mall, MALL, _SAME_PLACE), (road, ROAD, _SAME_PLACE)]
     if variants:
-        wanted += [(mall, MALL_APART[0], 1.0), (mall, MALL_APART[1], 6.0), (road, ROAD_APART, 6.0)]
+        wanted += [(mall, MALL_BARE, _SAME_PLACE), (mall, MALL_APART[0], 1.0), (mall, MALL_APART[1], 6.0)]
+        wanted += [(road, ROAD_APART, 6.0)]
     return tuple(
         Place(
             group=group,

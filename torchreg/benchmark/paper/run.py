@@ -86,7 +86,7 @@ def trial(clouds: tuple[Clouds, Clouds], setting: Setting, place: Place, size: S
 
 
 def _measured(one: Trial, setting: Setting, place: Place, method: str, size: Size) -> Row:
-    options = options_of(method, scale=place.scale, hypotheses=size.hypotheses)
+    options = options_of(method, scale=place.scale, hypotheses=size.hypotheses, refit=place.group.refit)
     begin = time.perf_counter()
     result = register(one.source, one.target, options, seed=place.number)
     T = result.T_target_source.cpu()
