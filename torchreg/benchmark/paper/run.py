@@ -94,8 +94,8 @@ def _measured(one: Trial, setting: Setting, place: Place, method: str, size: Siz
     truth = one.T_target_source[None].to(one.source.device)
     threshold = options.ransac.inlier_threshold
     # the matches speak of the points in the order in which register took them
-    taken = [downsample(cloud, result.options) for cloud in (one.source, one.target)]
-    ratio = inlier_ratio(*taken, result.correspondences, truth, threshold)
+    source, target = (downsample(cloud, result.options) for cloud in (one.source, one.target))
+    ratio = inlier_ratio(source, target, result.correspondences, truth, threshold)
     errors = pose_errors(one.source, one.T_target_source, T[0])
     return {
         "key": key_of(setting, place, method),
