@@ -98,7 +98,11 @@ def test_a_run_of_one_experiment_has_its_table_alone(findings):
     made = tables(Findings(only, [], quick=False))
     assert list(made) == [6]
     assert made[6][0].name == "Table 6"
-    assert len(overview(Findings(only, [], quick=False)).rows) == 1
+    rows = overview(Findings(only, [], quick=False)).rows
+    assert rows == [
+        ["2: 12k / 4k", "the paper", "8.550", "0.200", "-"],
+        ["", "mall", *["1/3, 1.000"] * 3],
+    ]
 
 
 def test_markdown_says_what_kind_of_run_it_was(findings):

@@ -61,7 +61,7 @@ def clouds_figure(settings: Sequence[Shown], title: str) -> Figure:
         _scatter(axes[0], _oblique(source), _oblique(target))
         _frame(axes[0], np.concatenate((_oblique(source), _oblique(target))))
         axes[0].set_ylabel(shown.heading, fontsize=9)
-        axes[0].set_xlabel("seen aslant from above, meters", fontsize=8)
+        axes[0].set_xlabel("seen aslant from above", fontsize=8)
         for method, ax in zip(METHODS, axes[1:], strict=True):
             _registered(ax, shown, method, source)
     for text, ax in zip(("initial pose", *METHODS), figure.axes[:kinds], strict=True):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from torchreg.benchmark.paper import captions
-from torchreg.benchmark.paper.layout import Table, beyond_table, error_table
+from torchreg.benchmark.paper.layout import Table, overview_table, error_table
 from torchreg.benchmark.paper.places import GROUPS, Group
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.rows import Row
@@ -41,7 +41,7 @@ def tables(findings: Findings) -> dict[int, list[Table]]:
 
 def overview(findings: Findings) -> Table:
     """Pairs found and median RMSE everywhere, stations apart included."""
-    return beyond_table(GROUPS, summarize(findings.errors))
+    return overview_table(GROUPS, summarize(findings.errors))
 
 
 def markdown(findings: Findings, machine: str, pictures: Sequence[tuple[str, str]]) -> str:

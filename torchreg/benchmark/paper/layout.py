@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from torchreg.benchmark.paper.methods import METHODS, TITLES
+from torchreg.benchmark.paper.methods import METHODS, SHORT, TITLES
 from torchreg.benchmark.paper.places import Group
 from torchreg.benchmark.paper.printed import ERRORS
 from torchreg.benchmark.paper.settings import TABLES, settings_of
@@ -55,17 +55,20 @@ def error_table(experiment: int, group: Group, cells: Cells, part: str = "") -> 
     return Table(name, group.title, head, rows)
 
 
-def beyond_table(groups: Sequence[Group], cells: Cells) -> Table:
-    """What stations apart do: pairs found and median RMSE of every setting, group and method."""
-    head = ["experiment", "setting", "places", *METHODS]
+def overview_table(groups: Sequence[Group], cells: Cells) -> Table:
+    """The paper's RMSE of every setting, and below it, for each group, pairs found and median RMSE in meters."""
     rows = []
     for experiment in TABLES:
         for setting in settings_of(experiment):
-            for group in groups:
-                own = [cells.get((experiment, setting.name, group.name, method)) for method in METHODS]
-                if any(own):
-                    rows.append([str(experiment), setting.name, group.name, *map(_short, own)])
-    return Table("Overview", "pairs found, and median RMSE in meters", head, rows)
+            names = (experiment, setting.name)
+            own = {group.name: [cells.get((*names, group.name, method)) for method in METHODS] for group in groups}
+            lines = [[name, *map(_short, found)] for name, found in own.items() if any(found)]
+            if lines:
+                printed = [ERRORS.get((*names, method)) for method in METHODS]
+                paper = ["-" if one is None else as_printed(one.rmse_meters, 3) for one in printed]
+                heading = f"{experiment}: pose {setting.name}" if experiment == 1 else f"{experiment}: {setting.name}"
+                rows += [[heading, "the paper", *paper], *(["", *line] for line in lines)]
+    return Table("Overview", "pairs found, median RMSE in meters", ["setting", "places", *SHORT.values()], rows)
 
 
 def _block(experiment: int, method: str, settings: Sequence[str], group: Group, cells: Cells) -> list[list[str]]:
@@ -96,7 +99,7 @@ def _median(cell: Cell | None, measure: str) -> str:
 
 
 def _short(cell: Cell | None) -> str:
-    return "-" if cell is None else f"{cell.found} / {cell.runs}, {_median(cell, 'rmse_meters')}"
+    return "-" if cell is None else f"{cell.found}/{cell.runs}, {_median(cell, 'rmse_meters')}"
 
 
 def as_printed(value: float, decimals: int) -> str:

@@ -19,6 +19,9 @@ TITLES = {
     PLAIN_HUE: "Color-enhanced, hue not equalized",
 }
 
+SHORT = {FPFH: "FPFH", FUSED: "FPFH + PCFH", PLAIN_HUE: "not equalized"}
+"""For narrow columns."""
+
 
 def options_of(
     method: str, *, scale: float = 1.0, hypotheses: int = 600_000, refit: bool = True
