@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from torchreg.benchmark.paper import captions
-from torchreg.benchmark.paper.layout import Table, overview_table, error_table
+from torchreg.benchmark.paper.layout import Table, error_table, overview_table
 from torchreg.benchmark.paper.places import GROUPS, Group
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.rows import Row
