@@ -17,8 +17,8 @@ inlier threshold."""
 DEVIATIONS = """\
 Where this is not what the paper did:
 
-- Its scans are not public. Simulated halls and roads stand for them, scanned twice from one place (stations 0.1 m
-  apart, each scan with its own noise, light and passers-by) and then moved by its initial poses, as it did.
+- Its scans are not public. Simulated halls and roads stand for them, scanned twice from one place (the scanner
+  set up again within 0.1 m, each scan with its own noise, light and passers-by) and then moved by its initial poses, as it did.
 - It prints one run; here are several places. Within one place all initial poses of Experiment 1 see the same points,
   and the smaller clouds of Experiment 3 are parts of the larger ones.
 - It does not say how points were drawn, in which order roll, pitch and yaw turn, or how normals are signed. Here: at

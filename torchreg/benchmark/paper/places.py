@@ -1,8 +1,8 @@
 """Which scans stand for the paper's mall and for its road.
 
 The paper scanned twice from the same place and then moved the target by an artificial transform, so that the truth is
-exact. The simulated scans are taken likewise: two stations 0.1 m apart (the least that the simulators take), each scan
-with noise, light and passers-by of its own. Stations farther apart are the harder case that surveys have.
+exact. The simulated scans are taken likewise: the scanner is set up twice within 0.1 m, each scan with noise, light and
+passers-by of its own. Stations farther apart are the harder case that surveys have.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from torchreg.benchmark.paper.real import RealPair, real_pairs
-from torchreg.datasets import ScanPair, mall
-from torchreg.datasets import mall as road
+from torchreg.datasets import ScanPair, mall, road
 from torchreg.errors import at_least
 from torchreg.geometry.se3 import transform
 from torchreg.registration import PAPER
@@ -57,7 +56,7 @@ REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outd
 
 GROUPS = (MALL, MALL_BARE, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
 
-_SAME_PLACE = 0.1  # meters
+_SAME_PLACE = 0.1  # meters: a tripod set up again
 
 
 @dataclass(frozen=True, kw_only=True)
