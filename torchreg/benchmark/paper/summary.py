@@ -11,9 +11,8 @@ from torchreg.benchmark.paper.rows import Row
 MEASURES = ("rre_degrees", "rte_meters", "rmse_meters", "inlier_ratio")
 """The paper's Eq. (5) to (7), and the share of matches that the true motion brings within the inlier threshold."""
 
-ROTATION_BOUND = 15.0
-TRANSLATION_BOUND = 0.3
-"""Degrees and meters: below both, a pair counts as found; of scans with a threshold above 0.2 m, 1.5 times that."""
+FOUND = 2.5
+"""A pair counts as found when its RMSE is below so many inlier thresholds: 0.5 m at the paper's 0.2 m."""
 
 
 class Spread(NamedTuple):
@@ -31,7 +30,7 @@ class Cell(NamedTuple):
 
     Attributes:
         runs: how many places.
-        found: of these, pairs with a rotation and a translation error below the bounds.
+        found: of these, pairs whose RMSE is below ``FOUND`` inlier thresholds.
         spreads: by measure.
     """
 
@@ -57,8 +56,7 @@ def summarize(rows: Iterable[Row]) -> dict[Key, Cell]:
 
 def found(row: Row) -> bool:
     """Whether a registration came near enough to the truth that a refinement would do the rest."""
-    bound = max(TRANSLATION_BOUND, 1.5 * row["threshold"])
-    return bool(row["rre_degrees"] < ROTATION_BOUND and row["rte_meters"] < bound)
+    return bool(row["rmse_meters"] < FOUND * row["threshold"])
 
 
 def spread_of(values: Sequence[float]) -> Spread:
