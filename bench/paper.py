@@ -19,8 +19,7 @@ from readme import put_into_readme
 from torchreg.benchmark.paper.layout import overview_table
 from torchreg.benchmark.paper.places import GROUPS
 from torchreg.benchmark.paper.summary import summarize
-from torchreg.benchmark.paper.time_table import added
-from torchreg.benchmark.paper.times import SPANS
+from torchreg.benchmark.paper.time_table import added_in_words
 
 
 def main() -> None:
@@ -44,12 +43,7 @@ def main() -> None:
     overview = overview_table([group for group in GROUPS if group.paper], cells)
     text = table(overview.head, overview.rows)
     if found["times"]:
-        shares = ", ".join(
-            f"{min(added(row, span) for row in found['times']):+.0%} to "
-            f"{max(added(row, span) for row in found['times']):+.0%} ({span})"
-            for span in SPANS
-        )
-        text += f"\n\nExperiment 4: PCFH adds to the time of FPFH, over 500 to 4,000 points: {shares}."
+        text += f"\n\nExperiment 4: {added_in_words(found['times'])}"
     put_into_readme("paper", f"{text}\n\n{in_words(found['machine'])}.")
     shutil.copy(folder / "figure3_mall.png", ROOT / "docs" / "paper.png")
 

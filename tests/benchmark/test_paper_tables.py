@@ -14,7 +14,7 @@ from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, ROAD
 from torchreg.benchmark.paper.printed import FPFH, FUSED
 from torchreg.benchmark.paper.settings import SETTINGS, settings_of
 from torchreg.benchmark.paper.summary import found, spread_of, summarize
-from torchreg.benchmark.paper.time_table import added, time_table
+from torchreg.benchmark.paper.time_table import added, added_in_words, time_table
 from torchreg.benchmark.paper.times import SPANS, TIMED
 
 
@@ -91,6 +91,7 @@ def test_table_8_prints_the_slip_as_it_stands(findings):
     assert lines[f"FPFH, {SPANS[0]}"][0] == "20 ms (10 to 30)"
     assert lines[f"added by PCFH, {SPANS[0]}"] == ["+10%"] * 4
     assert added(findings.times[0], SPANS[1]) == 0
+    assert "500 to 4,000 points: +10% to +10% (descriptors), +0% to +0%" in added_in_words(findings.times)
 
 
 def test_a_run_of_one_experiment_has_its_table_alone(findings):

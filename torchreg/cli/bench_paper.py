@@ -93,14 +93,15 @@ def _show(findings: Findings, out: Path) -> None:
     from rich.table import Table
 
     from torchreg.benchmark.paper.document import overview
-    from torchreg.benchmark.paper.time_table import time_table
+    from torchreg.benchmark.paper.time_table import added_in_words
 
-    shown = [overview(findings)] if findings.errors else []
-    shown += [time_table(findings.times)] if findings.times else []
     console = standard_output()
-    for one in shown:
-        table = Table(*one.head, title=one.heading, title_justify="left")
-        for row in one.rows:
+    if findings.errors:
+        shown = overview(findings)
+        table = Table(*shown.head, title=shown.heading, title_justify="left")
+        for row in shown.rows:
             table.add_row(*row)
         console.print(table)
+    if findings.times:
+        console.print(added_in_words(findings.times), soft_wrap=True)
     console.print(f"All tables and pictures: {legible(str(out / 'paper.md'))}", soft_wrap=True)

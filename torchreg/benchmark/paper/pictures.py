@@ -65,7 +65,7 @@ def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, siz
     name = f"figure{number}_{place.group.name.replace(' ', '_')}.png"
     title = (
         f"As in the paper's Figure {number}: {place.name}, {place.group.title}\n"
-        "left as given, then under what each method found: seen from above, a room cut open halfway up; meters"
+        "left as given, then under what each method found: seen along z of the source, rooms cut open halfway; meters"
     )
     save_figure(clouds_figure(settings, title), folder / name)
     return name, f"Experiment {experiment} on {place.name}: the initial pose, and what each method found."

@@ -32,6 +32,16 @@ def added(row: Row, span: str) -> float:
     return float(median(b / a for a, b in zip(one, other, strict=True))) - 1
 
 
+def added_in_words(rows: Sequence[Row]) -> str:
+    """One sentence: by how much PCFH lengthens each span, over all point counts."""
+    counts = [row["points"] for row in rows]
+    parts = []
+    for span in SPANS:
+        shares = [added(row, span) for row in rows]
+        parts.append(f"{min(shares):+.0%} to {max(shares):+.0%} ({span})")
+    return f"PCFH adds to the time of FPFH, at {min(counts):,} to {max(counts):,} points: {', '.join(parts)}."
+
+
 def _seconds(row: Row | None, name: str) -> str:
     if row is None:
         return "-"

@@ -32,8 +32,8 @@ TIMED = (FPFH, FUSED)
 
 
 def time_key(setting: str, place: Place) -> str:
-    """The name of the times at one point count."""
-    return f"4/{setting}/{place.name}"
+    """The name of the times at one point count: those on more threads are others."""
+    return f"4/{setting}/{place.name}/{torch.get_num_threads()} threads"
 
 
 def measure_times(place: Place, rows: Rows, size: Size, device: torch.device) -> None:
