@@ -11,7 +11,6 @@ from refusals import refuses
 import torchreg as tr
 from torchreg.benchmark.paper.methods import FUSED
 from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, Place, real_places, simulated_places
-from torchreg.benchmark.paper.rows import FILE, Rows
 from torchreg.benchmark.paper.run import measure, trial
 from torchreg.benchmark.paper.session import Session
 from torchreg.benchmark.paper.settings import SETTINGS, settings_of
@@ -27,40 +26,6 @@ def room(number=0, count=1500):
     pair = room_pair(count, seed=number + 1)
     scanned = ScanPair(pair.source, pair.target, pair.T_target_source[0], "room")
     return Place(group=REAL, name=f"room-{number}", number=number, scale=0.25, scan=lambda: scanned)
-
-
-def test_rows_come_back_and_a_torn_last_line_is_dropped(tmp_path):
-    rows = Rows(tmp_path, {"seed": 1})
-    rows.add({"key": "a", "value": 1.5})
-    rows.add({"key": "b", "value": 2.5})
-    path = tmp_path / FILE
-    path.write_bytes(path.read_bytes()[:-5])
-    again = Rows(tmp_path, {"seed": 1})
-    assert "a" in again
-    assert "b" not in again
-    again.add({"key": "b", "value": 3.5})
-    assert Rows(tmp_path, {"seed": 1})["b"]["value"] == 3.5
-    assert len(path.read_text().splitlines()) == 3
-
-
-def test_rows_of_a_run_cut_off_in_its_first_line(tmp_path):
-    (tmp_path / FILE).write_text('{"seed"')
-    Rows(tmp_path, {"seed": 1}).add({"key": "a"})
-    assert "a" in Rows(tmp_path, {"seed": 1})
-
-
-def test_rows_of_another_run_are_refused(tmp_path):
-    Rows(tmp_path, {"seed": 1, "quick": False})
-    with refuses("--out", "quick True", "False"):
-        Rows(tmp_path, {"seed": 1, "quick": True})
-
-
-@pytest.mark.parametrize("content", ["hello\n", "[1]\n", '{"seed": 1}\n{"value": 2}\n'])
-def test_a_file_that_holds_no_rows_is_left_alone(tmp_path, content):
-    (tmp_path / FILE).write_text(content)
-    with pytest.raises(CloudFileError, match="expected measurements"):
-        Rows(tmp_path, {"seed": 1})
-    assert (tmp_path / FILE).read_text() == content
 
 
 def test_all_initial_poses_see_the_same_points():
@@ -129,19 +94,19 @@ def test_simulated_places_are_scanned_from_one_place_and_as_variants_from_two():
 
 def entry(**changes):
     T = torch.eye(4).tolist()
-    fields = {"name": "a", "source": "a.ply", "target": "b.ply", "T": T, "voxel_m": 0.05, "colour": True}
-    return {**fields, "difficulty": "easy", "kind": "indoor"} | changes
+    fields = {"name": "a", "scene": "a", "source": "a.ply", "target": "b.ply", "T": T, "voxel_m": 0.05}
+    return {**fields, "overlap": 0.7, "colour": True, "kind": "indoor"} | changes
 
 
 def write_list(folder, *entries):
     (folder / "pairs.json").write_text(json.dumps({"pairs": list(entries)}))
 
 
-def test_real_places_are_the_easy_pairs_with_colors(tmp_path):
+def test_real_places_are_pairs_with_colors_and_much_overlap(tmp_path):
     write_list(
         tmp_path,
         entry(),
-        entry(name="b", difficulty="hard"),
+        entry(name="b", overlap=0.5),
         entry(name="c", colour=False),
         entry(name="d", kind="OUTDOOR, castle", voxel_m=0.3),
     )
@@ -154,27 +119,9 @@ def test_real_places_are_the_easy_pairs_with_colors(tmp_path):
     assert len(places[0].clouds()[0].points) == 20
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (None, "No such file"),
-        ("{", "expected a list of pairs"),
-        ("[]", "expected a list of pairs"),
-        ('{"pairs": [{"name": "a"}]}', "source"),
-        ('{"pairs": []}', "expected a pair with colors"),
-    ],
-)
-def test_lists_that_cannot_be_used_are_named(tmp_path, content, words):
-    if content is not None:
-        (tmp_path / "pairs.json").write_text(content)
-    with pytest.raises(CloudFileError, match=words) as caught:
-        real_places(tmp_path, 0)
-    assert "pairs.json" in str(caught.value)
-
-
-def test_a_truth_that_is_no_rigid_transform_is_refused(tmp_path):
-    write_list(tmp_path, entry(T=torch.ones(4, 4).tolist()))
-    with pytest.raises(CloudFileError, match="last row"):
+def test_a_list_without_such_a_pair_is_refused(tmp_path):
+    write_list(tmp_path, entry(overlap=0.2))
+    with pytest.raises(CloudFileError, match="expected a pair with colors"):
         real_places(tmp_path, 0)
 
 

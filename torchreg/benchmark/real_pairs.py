@@ -31,6 +31,8 @@ class RealPair:
         T_target_source: (4, 4) float64, meters, true.
         voxel: meters, the voxels to average both clouds over.
         overlap: share of either cloud that the other covers.
+        colored: whether the clouds have colors; taken for granted where the list does not say.
+        outdoor: the scene lies in the open, says the list.
     """
 
     name: str
@@ -40,6 +42,8 @@ class RealPair:
     T_target_source: Tensor
     voxel: float
     overlap: float
+    colored: bool = True
+    outdoor: bool = False
 
 
 def read_real_pairs(path: str | os.PathLike[str]) -> tuple[RealPair, ...]:
@@ -48,7 +52,8 @@ def read_real_pairs(path: str | os.PathLike[str]) -> tuple[RealPair, ...]:
     Args:
         path: the list, or a folder with a ``pairs.json``: under ``pairs`` objects with ``name``, ``scene``, ``source``
             and ``target`` (files beside the list), ``T`` (4x4, maps source points into the target's frame, meters),
-            ``voxel_m`` and ``overlap``; others are not looked at.
+            ``voxel_m`` and ``overlap``; where it is to be known, ``colour`` (true or false) and ``kind`` (a text with
+            the word "outdoor" or not); others are not looked at.
 
     Raises:
         CloudFileError: no list, one that cannot be read, or one without pairs; the message names the file.
@@ -79,4 +84,6 @@ def _pair(folder: Path, entry: dict[str, Any]) -> RealPair:
         T_target_source=torch.from_numpy(checked_rigid(entry["T"], "T")),
         voxel=float(entry["voxel_m"]),
         overlap=float(entry["overlap"]),
+        colored=bool(entry.get("colour", True)),
+        outdoor="outdoor" in str(entry.get("kind", "")).lower(),
     )

@@ -37,8 +37,9 @@ Real = Annotated[
     Path | None,
     typer.Option(
         "--real",
-        metavar="FOLDER",
-        help="Also on the real pairs that FOLDER/pairs.json lists (a path); only those with colors and much overlap.",
+        metavar="PATH",
+        help="Also on the real pairs of this list, or of the folder's pairs.json (a path): those with colors and much "
+        "overlap.",
     ),
 ]
 Quick = Annotated[

@@ -29,7 +29,7 @@ Where this is not what the paper did:
   that RANSAC draws."""
 
 REAL = """\
-Real rooms and facades are smaller or larger than a mall: the inlier threshold is the spacing listed for the pair
+Real rooms and facades are smaller or larger than a mall: the inlier threshold is the voxel listed for the pair
 (0.05 m in rooms, 0.3 m for the facade) and every other length keeps the paper's proportion to it. Pairs with colors
 and an overlap of at least 0.6; two views each rather than one place; a cloud with fewer points than asked for keeps all
 it has. Their truth is itself good to a few centimeters (rooms) or a fraction of the threshold (facade)."""

@@ -12,9 +12,9 @@ from torchreg.benchmark.paper.layout import LABELS
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.places import Group
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
-from torchreg.benchmark.paper.rows import Row
 from torchreg.benchmark.paper.settings import settings_of
 from torchreg.benchmark.paper.times import SPANS, TIMED
+from torchreg.benchmark.rows import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.benchmark.paper.methods import METHODS
-from torchreg.benchmark.paper.rows import Row
+from torchreg.benchmark.rows import Row
 from torchreg.geometry.se3 import apply, inverse
 from torchreg.report.panels import SOURCE_COLOR, TARGET_COLOR
 from torchreg.report.thinning import box

@@ -9,10 +9,10 @@ from torchreg.benchmark.paper import captions
 from torchreg.benchmark.paper.layout import Table, error_table, overview_table
 from torchreg.benchmark.paper.places import GROUPS, Group
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
-from torchreg.benchmark.paper.rows import Row
 from torchreg.benchmark.paper.settings import TABLES
 from torchreg.benchmark.paper.summary import MEASURES, summarize
 from torchreg.benchmark.paper.time_table import added, time_table
+from torchreg.benchmark.rows import Row
 from torchreg.benchmark.tables import csv_table, markdown_table
 
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from torchreg.benchmark.paper.real import RealPair, real_pairs
+from torchreg.benchmark.real_pairs import RealPair, read_real_pairs
 from torchreg.datasets import ScanPair, mall, road
-from torchreg.errors import at_least
+from torchreg.errors import CloudFileError, at_least
 from torchreg.geometry.se3 import transform
+from torchreg.io import read_cloud
 from torchreg.registration import PAPER
 from torchreg.types import Clouds
 
@@ -55,6 +56,9 @@ REAL = Group(name="real rooms", title="real rooms, RGB-D", real=True)
 REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outdoor=True, real=True)
 
 GROUPS = (MALL, MALL_BARE, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
+
+LEAST_OVERLAP = 0.6
+"""Of real pairs, since the paper scanned twice from the same place."""
 
 _SAME_PLACE = 0.1  # meters: a tripod set up again
 
@@ -108,22 +112,33 @@ def simulated_places(seed: int, count: int, *, angular_step: float, variants: bo
     )
 
 
-def real_places(folder: Path, seed: int) -> tuple[Place, ...]:
-    """The real pairs with colors and much overlap, in the order of the folder's list.
+def real_places(path: Path, seed: int) -> tuple[Place, ...]:
+    """The real pairs with colors and much overlap, in the order of their list.
 
-    Their clouds are smaller or larger than a mall: the inlier threshold is the spacing that the list gives for a pair,
-    and all other lengths keep the paper's proportions to it.
+    Their clouds are smaller or larger than a mall: the inlier threshold is the size of voxel that the list gives for a
+    pair, and all other lengths keep the paper's proportions to it.
+
+    Args:
+        path: as ``read_real_pairs`` takes it.
+        seed: of what is drawn.
 
     Raises:
-        CloudFileError: as ``real_pairs``.
+        CloudFileError: as ``read_real_pairs``, or a list without such a pair.
     """
+    listed = [pair for pair in read_real_pairs(path) if pair.colored and pair.overlap >= LEAST_OVERLAP]
+    if not listed:
+        raise CloudFileError(f"{path}: expected a pair with colors and an overlap of {LEAST_OVERLAP}, got none")
     return tuple(
         Place(
             group=REAL_OUTDOOR if pair.outdoor else REAL,
             name=pair.name,
             number=seed,
-            scale=pair.spacing / PAPER.ransac.inlier_threshold,
-            scan=partial(RealPair.read, pair),
+            scale=pair.voxel / PAPER.ransac.inlier_threshold,
+            scan=partial(_read, pair),
         )
-        for pair in real_pairs(folder)
+        for pair in listed
     )
+
+
+def _read(pair: RealPair) -> ScanPair:
+    return ScanPair(read_cloud(pair.source), read_cloud(pair.target), pair.T_target_source, pair.name)

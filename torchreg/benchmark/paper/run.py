@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torchreg.benchmark.paper.methods import METHODS, options_of
 from torchreg.benchmark.paper.places import Place
-from torchreg.benchmark.paper.rows import Row, Rows
 from torchreg.benchmark.paper.settings import Setting
 from torchreg.benchmark.paper.size import Size
+from torchreg.benchmark.rows import Row, Rows
 from torchreg.geometry.se3 import transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample

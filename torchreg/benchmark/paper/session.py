@@ -15,11 +15,11 @@ from torchreg.benchmark.paper.document import Findings, csv_files, markdown
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.pictures import draw
 from torchreg.benchmark.paper.places import MALL, Place, real_places, simulated_places
-from torchreg.benchmark.paper.rows import Rows
 from torchreg.benchmark.paper.run import key_of, measure
 from torchreg.benchmark.paper.settings import EXPERIMENTS, settings_of
 from torchreg.benchmark.paper.size import FULL, QUICK
 from torchreg.benchmark.paper.times import measure_times, time_key
+from torchreg.benchmark.rows import Rows
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write
 
@@ -35,7 +35,7 @@ class Session:
         experiments: of 1 to 5, at least one.
         seeds: simulated halls and roads, a count.
         seed: of the first of them.
-        real: the folder with ``pairs.json``, or ``None`` for the simulated scans alone.
+        real: a list of real pairs or the folder of one, or ``None`` for the simulated scans alone.
         quick: small sizes, one real pair of each kind.
         device: where to compute, as PyTorch names it.
     """

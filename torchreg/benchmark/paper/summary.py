@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from statistics import mean, median, stdev
 from typing import NamedTuple
 
-from torchreg.benchmark.paper.rows import Row
+from torchreg.benchmark.rows import Row
 
 MEASURES = ("rre_degrees", "rte_meters", "rmse_meters", "inlier_ratio")
 """The paper's Eq. (5) to (7), and the share of matches that the true motion brings within the inlier threshold."""

@@ -7,9 +7,9 @@ from statistics import median
 
 from torchreg.benchmark.paper.layout import Table, as_printed
 from torchreg.benchmark.paper.printed import SECONDS
-from torchreg.benchmark.paper.rows import Row
 from torchreg.benchmark.paper.settings import settings_of
 from torchreg.benchmark.paper.times import SPANS, TIMED
+from torchreg.benchmark.rows import Row
 from torchreg.benchmark.timing import spread
 
 

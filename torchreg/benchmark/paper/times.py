@@ -15,10 +15,10 @@ import torch
 from torchreg.benchmark.paper.methods import options_of
 from torchreg.benchmark.paper.places import Place
 from torchreg.benchmark.paper.printed import FPFH, FUSED
-from torchreg.benchmark.paper.rows import Rows
 from torchreg.benchmark.paper.run import trial
 from torchreg.benchmark.paper.settings import settings_of
 from torchreg.benchmark.paper.size import Size
+from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.timing import interleaved
 from torchreg.descriptors.color import color_values
 from torchreg.registration import register
