@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchreg.benchmark.paper.charts import errors_chart, times_chart
-from torchreg.benchmark.paper.document import Findings, csv_files, markdown, overview, tables
+from torchreg.benchmark.paper.document import Findings, Picture, csv_files, markdown, overview, tables
 from torchreg.benchmark.paper.layout import as_printed, number
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, ROAD
@@ -107,9 +107,9 @@ def test_a_run_of_one_experiment_has_its_table_alone(findings):
 
 
 def test_markdown_says_what_kind_of_run_it_was(findings):
-    whole = markdown(findings, "a processor", [("a.png", "a picture")])
+    whole = markdown(findings, "a processor", [Picture(5, "a.png", "a picture")])
     assert "quick" not in whole
-    assert "![a picture](a.png)" in whole
+    assert whole.index("## Table 9") < whole.index("![a picture](a.png)") < whole.index("## Overview")
     assert whole.endswith("a processor\n")
     assert "Real rooms" in whole
     simulated = [one for one in findings.errors if one["group"] == MALL.name]

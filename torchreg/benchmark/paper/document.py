@@ -24,6 +24,14 @@ class Findings(NamedTuple):
     quick: bool
 
 
+class Picture(NamedTuple):
+    """A file beside the document, and what it shows."""
+
+    experiment: int
+    file: str
+    caption: str
+
+
 def tables(findings: Findings) -> dict[int, list[Table]]:
     """The tables by the paper's number, a letter behind it where several groups of places fill the same one."""
     cells = summarize(findings.errors)
@@ -44,26 +52,28 @@ def overview(findings: Findings) -> Table:
     return overview_table(GROUPS, summarize(findings.errors))
 
 
-def markdown(findings: Findings, machine: str, pictures: Sequence[tuple[str, str]]) -> str:
+def markdown(findings: Findings, machine: str, pictures: Sequence[Picture]) -> str:
     """The whole document.
 
     Args:
         findings: what was measured.
         machine: in words, for the last line.
-        pictures: file and caption of each.
+        pictures: each stands behind the tables of its experiment.
     """
     parts = ["# The paper's experiments"]
     parts += [captions.QUICK] if findings.quick else []
     parts += [captions.SETUP, captions.DEVIATIONS]
     real = {group.name for group in GROUPS if group.real}
     parts += [captions.REAL] if any(row["group"] in real for row in findings.errors) else []
-    for own in tables(findings).values():
-        parts += [text for table in own for text in (f"## {table.name}: {table.heading}", _text(table))]
-        parts += [captions.TIMES] if own[0].name == "Table 8" else []
+    made = tables(findings)
+    for experiment, number in TABLES.items():
+        for table in made.get(number, []):
+            parts += [f"## {table.name}: {table.heading}", _text(table)]
+        parts += [captions.TIMES] if experiment == 4 and number in made else []
+        parts += [f"![{one.caption}]({one.file})\n\n{one.caption}" for one in pictures if one.experiment == experiment]
     if findings.errors:
         table = overview(findings)
         parts += [f"## {table.name}: {table.heading}", _text(table)]
-    parts += [f"![{caption}]({file})\n\n{caption}" for file, caption in pictures]
     return "\n\n".join([*parts, machine]) + "\n"
 
 

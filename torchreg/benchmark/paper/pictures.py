@@ -9,7 +9,7 @@ import torch
 
 from torchreg.benchmark.paper.charts import errors_chart, times_chart
 from torchreg.benchmark.paper.clouds_figure import Shown, clouds_figure
-from torchreg.benchmark.paper.document import Findings
+from torchreg.benchmark.paper.document import Findings, Picture
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.places import GROUPS, Place
 from torchreg.benchmark.paper.run import key_of, trial
@@ -23,8 +23,8 @@ FIGURES = {1: 3, 2: 4, 3: 5, 5: 6}
 
 def draw(
     folder: Path, findings: Findings, places: Sequence[Place], experiments: Sequence[int], size: Size
-) -> Iterator[tuple[str, str]]:
-    """Draw and write everything that the findings allow; yields file name and caption of each picture.
+) -> Iterator[Picture]:
+    """Draw and write everything that the findings allow; yields each picture.
 
     Args:
         folder: where the files go.
@@ -38,7 +38,7 @@ def draw(
         if experiment == 4:
             if findings.times:
                 save_figure(times_chart(findings.times), folder / "chart_experiment4.png")
-                yield "chart_experiment4.png", "Experiment 4: times of ours and of the paper over the number of points."
+                yield Picture(4, "chart_experiment4.png", "Times of ours and of the paper over the number of points.")
             continue
         outdoor = settings_of(experiment)[0].outdoor
         for place in first.values():
@@ -48,10 +48,10 @@ def draw(
         groups = [group for group in GROUPS if group.name in there and group.paper]
         name = f"chart_experiment{experiment}.png"
         save_figure(errors_chart(experiment, groups, findings.errors), folder / name)
-        yield name, f"Experiment {experiment}: errors at every place, their median, and the paper's numbers."
+        yield Picture(experiment, name, "Errors at every place, their median, and the paper's numbers.")
 
 
-def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, size: Size) -> tuple[str, str]:
+def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, size: Size) -> Picture:
     by_key = {row["key"]: row for row in findings.errors}
     clouds = place.clouds()
     settings = []
@@ -68,4 +68,4 @@ def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, siz
         "left as given, then under what each method found: seen along z of the source, rooms cut open halfway; meters"
     )
     save_figure(clouds_figure(settings, title), folder / name)
-    return name, f"Experiment {experiment} on {place.name}: the initial pose, and what each method found."
+    return Picture(experiment, name, f"{place.name}: the initial pose, and what each method found.")
