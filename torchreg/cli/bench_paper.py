@@ -60,7 +60,7 @@ def paper(
     device: opt.DeviceName = opt.Device.cpu,
     threads: opt.Threads = None,
 ) -> None:
-    """Run the paper's five experiments, and print its Tables 5 to 9 with our numbers beside its own.
+    """Run the paper's five experiments, and write its Tables 5 to 9 with our numbers beside its own.
 
     Experiments: 1 three initial poses at 10,000 points, 2 12,000 points against 4,000, 3 4,000 down to 500 points, 4
     times with and without color, 5 an outdoor road. FPFH alone, FPFH + PCFH, and the same without histogram
