@@ -23,11 +23,7 @@ def test_import_loads_nothing_heavy():
 
 
 @pytest.mark.slow
-<<<<<<< HEAD
-@pytest.mark.parametrize("name", ["augment", "datasets", "reference"])
-=======
-@pytest.mark.parametrize("name", ["datasets", "nn", "reference"])
->>>>>>> 5756e14 (Modules load on first use, and a test says so)
+@pytest.mark.parametrize("name", ["augment", "datasets", "learning", "nn", "reference"])
 def test_submodules_come_on_first_use(name):
     assert f"torchreg.{name}" not in modules_after("import torchreg")
     assert f"torchreg.{name}" in modules_after(f"import torchreg; torchreg.{name}")

@@ -12,14 +12,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchreg.geometry.derivatives import TensorFunction
+from torchreg.geometry.derivatives import TensorFunction, transformed
 
 _TERMS = {torch.float32: 6, torch.float64: 12}  # of t - t^3 / 3 + ... for t up to tan(pi / 16)
 
 
 class _Angle(TensorFunction):
-    generate_vmap_rule = True
-
     @staticmethod
     def forward(sine: Tensor, cosine: Tensor) -> Tensor:
         length = (sine * sine).add_(cosine * cosine).sqrt_()
@@ -38,19 +36,12 @@ class _Angle(TensorFunction):
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:  # noqa: ANN401
         ctx.save_for_backward(*inputs)
-        ctx.save_for_forward(*inputs)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:  # noqa: ANN401
         sine, cosine = ctx.saved_tensors
         turn = grads[0] / (sine * sine + cosine * cosine)
         return turn * cosine, -turn * sine
-
-    @staticmethod
-    def jvp(ctx: Any, *tangents: Tensor) -> Tensor:  # noqa: ANN401
-        sine, cosine = ctx.saved_tensors
-        turn: Tensor = (cosine * tangents[0] - sine * tangents[1]) / (sine * sine + cosine * cosine)
-        return turn
 
 
 def angle(sine: Tensor, cosine: Tensor) -> Tensor:
@@ -61,6 +52,9 @@ def angle(sine: Tensor, cosine: Tensor) -> Tensor:
         cosine: the same shape.
 
     Returns:
-        The same shape. Gradients flow, of any order; directions of length zero have none.
+        The same shape. Gradients flow, of any order; directions of length zero have none. Inside ``torch.func``
+        transforms and forward derivatives it is ``atan2`` itself.
     """
+    if not torch.compiler.is_compiling() and (transformed(sine) or transformed(cosine)):
+        return torch.atan2(sine, cosine)
     return _Angle.call(sine, cosine)
