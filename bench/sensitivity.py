@@ -47,7 +47,7 @@ def run_sweep(pairs: Sequence[PreparedPair], kept: Rows) -> str:
     ):
         found = sweep(pairs, center, kept, report=say)
         chosen = {axis: label(getattr(center, axis)) for axis in AXES}
-        draw_sweep(pairs, found, chosen, RESULTS / f"{picture}.png")
+        draw_sweep(pairs, found, chosen, ROOT / "docs" / f"{picture}.png")
         texts.append(f"{title}, {len(pairs)} pairs:\n\n{sweep_table(found, center)}")
     return "\n\n".join(texts)
 

@@ -24,6 +24,7 @@ _CHUNKED = (
     "descriptors.pcfh",
     "descriptors.soft.rows",
     "descriptors.soft.sums",
+    "descriptors.learned.model",
     "preprocess.normals",
     "hypotheses.verdict",
 )

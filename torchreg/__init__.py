@@ -33,7 +33,7 @@ from torchreg.preprocess import (
 )
 from torchreg.ransac import ransac
 from torchreg.refinement import IcpOptions, icp
-from torchreg.registration import PAPER, derive_options, register, spacing
+from torchreg.registration import LEARNED, PAPER, derive_options, register, spacing
 from torchreg.types import (
     Clouds,
     CompatibilityOptions,
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from torchreg import augment, batch, datasets, learning, nn, reference
 
 __all__ = [
+    "LEARNED",
     "PAPER",
     "Clouds",
     "CompatibilityOptions",

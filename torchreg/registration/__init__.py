@@ -3,11 +3,12 @@
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.describing import describe_clouds
 from torchreg.registration.match_and_solve import register_described
-from torchreg.registration.presets import PAPER
+from torchreg.registration.presets import LEARNED, PAPER
 from torchreg.registration.register import register
 from torchreg.registration.scale import derive_options, spacing
 
 __all__ = [
+    "LEARNED",
     "PAPER",
     "DescribedClouds",
     "derive_options",
