@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.compact_pairs import compact_pair_features
-from torchreg.descriptors.histograms import count_votes, gather, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.descriptors.histograms import count_votes, counted_votes, gather, inverse_square_weights, weighted_sum
 from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
@@ -103,8 +103,7 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
     out = points.new_empty(len(points), FPFH_SIZE)
     for rows in row_chunks(len(points), near.max_neighbors):
-        counted = neighbor_votes(near.index, near.valid, rows)
-        votes = counted.to(torch.int32)
+        votes = counted_votes(near.index, near.valid, rows)
         index = near.index[rows]
         query = Oriented(*(column[rows, None] for column in columns))
         neighbor = Oriented(*(gather(column, index) for column in columns))
@@ -130,8 +129,7 @@ def _from_simplified(spfh: Tensor, near: Neighborhoods, *, own: bool) -> Tensor:
     """The weighted sum over neighbors, scaled to 100 per angle, plus the own histogram."""
     out = torch.empty_like(spfh)
     for rows in row_chunks(len(spfh), near.max_neighbors):
-        counted = neighbor_votes(near.index, near.valid, rows)
-        weights = inverse_square_weights(near.sq_distance[rows], counted).to(spfh.dtype)
+        weights = inverse_square_weights(near.sq_distance[rows], near.valid[rows]).to(spfh.dtype)
         blocks = weighted_sum(spfh, near.index[rows], weights).view(-1, 3, ANGLE_BINS)
         total = blocks.sum(dim=2, keepdim=True)
         scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)

@@ -28,7 +28,10 @@ def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:
 
 
 def inverse_square_weights(sq_distance: Tensor, counted: Tensor) -> Tensor:
-    """1/d^2 (R, K) where ``counted`` and d > 0, else 0; never infinite or NaN."""
+    """1/d^2 (R, K) where ``counted`` and d > 0, else 0; never infinite or NaN.
+
+    A point lies at distance 0 from itself, so ``counted`` may include it.
+    """
     usable = (sq_distance > 0).logical_and_(counted)
     # far below any distance between points, and sums of reciprocals stay finite
     least = torch.finfo(sq_distance.dtype).tiny ** 0.75
@@ -62,5 +65,17 @@ def gather(column: Tensor, index: Tensor) -> Tensor:
 
 def neighbor_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
     """(R, K) bool: the valid slots of these rows that hold another point than the query itself."""
-    query = torch.arange(rows.start, rows.stop, device=index.device)[:, None]
-    return valid[rows] & (index[rows] != query)
+    return _others(index[rows], valid[rows], torch.arange(rows.start, rows.stop, device=index.device)[:, None])
+
+
+def counted_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
+    """(R, K) int32: 1 where ``neighbor_votes`` is true, else 0."""
+    return _counted(index[rows], valid[rows], torch.arange(rows.start, rows.stop, device=index.device)[:, None])
+
+
+def _others(index: Tensor, valid: Tensor, query: Tensor) -> Tensor:
+    return valid & (index != query)
+
+
+def _counted(index: Tensor, valid: Tensor, query: Tensor) -> Tensor:
+    return _others(index, valid, query).to(torch.int32)

@@ -17,7 +17,14 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import color_values
-from torchreg.descriptors.histograms import count_votes, gather, inverse_square_weights, neighbor_votes, weighted_sum
+from torchreg.descriptors.histograms import (
+    count_votes,
+    counted_votes,
+    gather,
+    inverse_square_weights,
+    neighbor_votes,
+    weighted_sum,
+)
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, slot_weights
 from torchreg.descriptors.soft.equalize import soft_equalize
 from torchreg.descriptors.soft.pcfh import soft_pcfh
@@ -91,6 +98,8 @@ def pcfh(
         )
     expect_shape(values, "values", (len(cloud.points), 3))
     if binning == "hard":
+        if near.index.device.type == "cpu" and values.dtype == torch.float32:  # float64 sums by another code
+            near = near.trimmed()
         hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
         out = _from_own(hhd, enough, near, bins)
     else:
@@ -141,9 +150,8 @@ def _own_histograms(
     out = values.new_empty(len(values), bins * len(channels))
     enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
     for rows in row_chunks(len(values), near.max_neighbors):
-        counted = neighbor_votes(near.index, near.valid, rows)
         index = near.index[rows]
-        ones = counted.to(torch.int32)
+        ones = counted_votes(near.index, near.valid, rows)
         enough[rows] = ones.sum(dim=1) >= MIN_NEIGHBORS
         for place, channel in enumerate(channels):
             column = columns[channel]
@@ -164,8 +172,7 @@ def _from_own(hhd: Tensor, enough: Tensor, near: Neighborhoods, bins: int) -> Te
     """Eq. (4): the own histogram plus the neighbors', by inverse squared distance, scaled to 100 a channel."""
     out = torch.empty_like(hhd)
     for rows in row_chunks(len(hhd), near.max_neighbors):
-        counted = neighbor_votes(near.index, near.valid, rows)
-        weights = inverse_square_weights(near.sq_distance[rows], counted).to(hhd.dtype)
+        weights = inverse_square_weights(near.sq_distance[rows], near.valid[rows]).to(hhd.dtype)
         blocks = weighted_sum(hhd, near.index[rows], weights).view(-1, hhd.shape[1] // bins, bins)
         total = blocks.sum(dim=2, keepdim=True)
         scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)

@@ -68,9 +68,9 @@ def fusible(kernel: _Kernel) -> _Kernel:
     _compiled.append(compiled)
 
     @functools.wraps(kernel)
-    def call(*args: Any) -> Any:  # noqa: ANN401
+    def call(*args: Any, **words: Any) -> Any:  # noqa: ANN401
         if not torch.compiler.is_compiling() and kernels_are_compiled():
-            return compiled()(*args)
-        return kernel(*args)
+            return compiled()(*args, **words)
+        return kernel(*args, **words)
 
     return call  # type: ignore[return-value]
