@@ -65,17 +65,10 @@ def gather(column: Tensor, index: Tensor) -> Tensor:
 
 def neighbor_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
     """(R, K) bool: the valid slots of these rows that hold another point than the query itself."""
-    return _others(index[rows], valid[rows], torch.arange(rows.start, rows.stop, device=index.device)[:, None])
+    query = torch.arange(rows.start, rows.stop, device=index.device)[:, None]
+    return valid[rows] & (index[rows] != query)
 
 
 def counted_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
     """(R, K) int32: 1 where ``neighbor_votes`` is true, else 0."""
-    return _counted(index[rows], valid[rows], torch.arange(rows.start, rows.stop, device=index.device)[:, None])
-
-
-def _others(index: Tensor, valid: Tensor, query: Tensor) -> Tensor:
-    return valid & (index != query)
-
-
-def _counted(index: Tensor, valid: Tensor, query: Tensor) -> Tensor:
-    return _others(index, valid, query).to(torch.int32)
+    return neighbor_votes(index, valid, rows).to(torch.int32)
