@@ -1,6 +1,6 @@
 """The paper's open questions: how many bins, how wide, how heavy, which channels; and whether learning beats the rule.
 
-    python bench/sensitivity.py sweep      one choice varied at a time; table and chart
+    python bench/sensitivity.py sweep      one choice varied at a time; table and chart (--per-scene 3: a quarter of it)
     python bench/sensitivity.py learn      weights trained on some scenes, judged on others
     python bench/sensitivity.py ship       train on all scenes and write the weights that tr.LEARNED reads
 
@@ -57,14 +57,26 @@ def run_learn(pairs: Sequence[PreparedPair], kept: Rows) -> str:
     return learned_table(pairs, found)
 
 
+def spread_evenly(pairs: Sequence[PreparedPair], most: int) -> list[PreparedPair]:
+    chosen = []
+    for scene in dict.fromkeys(pair.scene for pair in pairs):
+        own = [pair for pair in pairs if pair.scene == scene]
+        step = max(1, len(own) // most)
+        chosen += own[::step][:most]
+    return chosen
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", choices=("sweep", "learn", "ship"))
+    parser.add_argument("--per-scene", type=int, help="so many pairs of every scene, spread evenly over its list")
     parser.add_argument("--no-readme", action="store_true", help="leave README.md as it is")
     arguments = parser.parse_args()
     if not REAL.exists():
         raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
     pairs = [*real_cases(REAL), *simulated_cases(MALLS)]
+    if arguments.per_scene is not None:
+        pairs = spread_evenly(pairs, arguments.per_scene)
     if arguments.study == "ship":
         model = new_model(0)
         train_color(model, evenly(pairs), OPTIONS, report=lambda step, loss: say(f"{step} {loss:.3f}"))

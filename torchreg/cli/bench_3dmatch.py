@@ -9,24 +9,19 @@ import typer
 
 from torchreg.cli import options as opt
 from torchreg.cli.bench_field import Methods, names_of
+from torchreg.cli.bench_options import Out, expect_folder
 from torchreg.cli.device import use
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
-from torchreg.errors import expect, positive
+from torchreg.errors import positive
 from torchreg.report.text import legible
 
 if TYPE_CHECKING:
     from torchreg.benchmark.threedmatch.document import Findings
 
-_A_FOLDER = "a folder, or a name for one in a folder that exists"
-
 Folder = Annotated[
     Path,
     typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes (a path)."),
-]
-Out = Annotated[
-    Path,
-    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
 ]
 Log = Annotated[
     Path | None,
@@ -76,7 +71,7 @@ def threedmatch(
     """
     from torchreg.benchmark.threedmatch.session import Session
 
-    expect(out.is_dir() or (not out.exists() and out.absolute().parent.is_dir()), "--out", _A_FOLDER, str(out))
+    expect_folder(out)
     session = Session(
         folder=folder,
         out=out,

@@ -8,24 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchreg.cli import options as opt
+from torchreg.cli.bench_options import Out, expect_folder
 from torchreg.cli.device import use
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
-from torchreg.errors import expect
 from torchreg.report.text import legible
 
 if TYPE_CHECKING:
     from torchreg.benchmark.field.document import Findings
 
-_A_FOLDER = "a folder, or a name for one in a folder that exists"
-
 Data = Annotated[
     Path,
     typer.Option("--data", metavar="PATH", help="The list of pairs, or the folder whose pairs.json it is (a path)."),
-]
-Out = Annotated[
-    Path,
-    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
 ]
 Methods = Annotated[
     str | None,
@@ -68,7 +62,7 @@ def field(
     """
     from torchreg.benchmark.field.session import Session
 
-    expect(out.is_dir() or (not out.exists() and out.absolute().parent.is_dir()), "--out", _A_FOLDER, str(out))
+    expect_folder(out)
     session = Session(
         data=data,
         out=out,

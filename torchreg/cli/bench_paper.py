@@ -8,21 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchreg.cli import options as opt
+from torchreg.cli.bench_options import Out, expect_folder
 from torchreg.cli.device import use
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
-from torchreg.errors import expect
 from torchreg.report.text import legible
 
 if TYPE_CHECKING:
     from torchreg.benchmark.paper.document import Findings
 
-_A_FOLDER = "a folder, or a name for one in a folder that exists"
-
-Out = Annotated[
-    Path,
-    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
-]
 Experiments = Annotated[
     list[int] | None,
     typer.Option("--experiment", metavar="1..5", min=1, max=5, help="Only this one (a number, no unit; repeatable)."),
@@ -74,7 +68,7 @@ def paper(
     from torchreg.benchmark.paper.session import Session
     from torchreg.benchmark.paper.settings import EXPERIMENTS
 
-    expect(out.is_dir() or (not out.exists() and out.absolute().parent.is_dir()), "--out", _A_FOLDER, str(out))
+    expect_folder(out)
     chosen = tuple(sorted(set(experiment))) if experiment else EXPERIMENTS
 
     session = Session(

@@ -8,18 +8,13 @@ from typing import Annotated
 import typer
 
 from torchreg.cli import options as opt
+from torchreg.cli.bench_options import Out, expect_folder
 from torchreg.cli.device import use
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
 from torchreg.errors import at_least, expect
 from torchreg.report.text import legible
 
-_A_FOLDER = "a folder, or a name for one in a folder that exists"
-
-Out = Annotated[
-    Path,
-    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
-]
 Points = Annotated[
     str,
     typer.Option("--points", metavar="COUNT,COUNT", help="Points of each cloud (counts, a comma between two)."),
@@ -51,7 +46,7 @@ def speed(
     from torchreg.benchmark.speed.document import growth_table, times_table
     from torchreg.benchmark.speed.session import Session
 
-    expect(out.is_dir() or (not out.exists() and out.absolute().parent.is_dir()), "--out", _A_FOLDER, str(out))
+    expect_folder(out)
     use(opt.Device.cpu, threads)
     session = Session(out=out, points=counts(points), repeats=repeats, quick=quick)
     rows = session.run(report=complain)
