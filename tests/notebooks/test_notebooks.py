@@ -1,5 +1,7 @@
 """The notebooks run as they stand, and what they say about themselves is true."""
 
+import json
+import re
 import runpy
 from pathlib import Path
 
@@ -61,3 +63,25 @@ def test_what_is_learned_holds_in_a_hall_not_seen(run):
     names, figures = run("sensitivity")
     assert figures == 2
     assert names["learned_ratio"](names["unseen"]) > names["fixed"]
+
+
+def cells_of_text(path):
+    """(kind, source) of every cell of a percent text."""
+    cells = []
+    for part in re.split(r"^# %%", path.read_text(), flags=re.M)[1:]:
+        kind, _, body = part.partition("\n")
+        if "[markdown]" in kind:
+            cells.append(("markdown", re.sub(r"^# ?", "", body.strip(), flags=re.M)))
+        else:
+            cells.append(("code", body.strip()))
+    return cells
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("*.py")))
+def test_the_executed_notebook_is_that_of_the_text(name):
+    notebook = json.loads((FOLDER / f"{name}.ipynb").read_text())
+    cells = [(cell["cell_type"], "".join(cell["source"]).strip()) for cell in notebook["cells"]]
+    assert cells == cells_of_text(FOLDER / f"{name}.py")
+    outputs = [output for cell in notebook["cells"] for output in cell.get("outputs", [])]
+    assert outputs
+    assert not any(output["output_type"] == "error" for output in outputs)
