@@ -1,5 +1,6 @@
 """Weighted samples: drawn as their probabilities say, whose gradients lead away from what fares badly."""
 
+import math
 from itertools import permutations
 
 import pytest
@@ -130,3 +131,16 @@ def test_what_does_not_fit_is_refused():
         score_function_loss(torch.zeros(1), torch.zeros(1))
     with refuses("log_probability", "(3,)", "(2,)"):
         score_function_loss(torch.zeros(3), torch.zeros(2))
+
+
+@pytest.mark.parametrize("distance", [1.0, 30.0, 40.0, 200.0, 2000.0])
+def test_the_probability_is_exact_where_one_weight_dominates(distance):
+    logits = torch.tensor([0.0, -distance, -distance, -distance], dtype=torch.float64, requires_grad=True)
+    samples = draw_samples(logits, 4, generator=torch.Generator().manual_seed(0))
+    first = samples.rows[:, 0] == 0
+    # the dominant one first, then two of three equal ones, whatever their weight
+    expected = -math.log(6) - math.log1p(3 * math.exp(-distance))
+    assert torch.allclose(samples.log_probability[first].detach(), torch.tensor(expected).double(), atol=1e-9)
+    (grad,) = torch.autograd.grad(samples.log_probability.sum(), logits)
+    assert torch.isfinite(grad).all()
+    assert abs(float(grad.sum())) < 1e-9

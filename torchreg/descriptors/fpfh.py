@@ -17,7 +17,7 @@ from torch import Tensor
 from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, counted_votes, gather, inverse_square_weights, weighted_sum
 from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
-from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, slot_weights
+from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
 from torchreg.errors import expect, expect_floating, one_of
 from torchreg.geometry.chunks import row_chunks
@@ -81,6 +81,8 @@ def fpfh(
         raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
     expect_floating(cloud.points, "points")
     expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_finite(cloud.points, "points")
+    expect_finite(cloud.normals, "normals")
     if binning == "soft":
         values = soft_fpfh(
             cloud.points,

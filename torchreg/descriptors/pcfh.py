@@ -25,10 +25,10 @@ from torchreg.descriptors.histograms import (
     neighbor_votes,
     weighted_sum,
 )
-from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, slot_weights
+from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.equalize import soft_equalize
 from torchreg.descriptors.soft.pcfh import soft_pcfh
-from torchreg.errors import at_least, expect, expect_shape, one_of
+from torchreg.errors import at_least, expect, expect_floating, expect_shape, one_of
 from torchreg.geometry.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
 
@@ -97,8 +97,11 @@ def pcfh(
             else _soft_color_values(cloud, equalization, bandwidth)
         )
     expect_shape(values, "values", (len(cloud.points), 3))
+    expect_floating(values, "values")
+    expect_finite(values, "values")
     if binning == "hard":
-        if near.index.device.type == "cpu" and values.dtype == torch.float32:  # float64 sums by another code
+        reads = near.index.device.type == "cpu" and not torch.compiler.is_compiling()
+        if reads and values.dtype == torch.float32:  # float64 sums by another code
             near = near.trimmed()
         hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
         out = _from_own(hhd, enough, near, bins)

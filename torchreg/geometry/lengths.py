@@ -7,9 +7,9 @@ from torch import Tensor
 
 
 def safe_sqrt(square: Tensor) -> Tensor:
-    """Square roots of numbers >= 0; zero with gradient zero where a number is not above 0."""
-    above = square > 0
-    return torch.where(above, torch.where(above, square, 1).sqrt(), 0)
+    """Square roots of numbers >= 0; zero with gradient zero where a number is not above 0, and NaN of NaN."""
+    none = square <= 0
+    return torch.where(none, 0, torch.where(none, 1, square).sqrt())
 
 
 def safe_length(vectors: Tensor) -> Tensor:

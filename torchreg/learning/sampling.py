@@ -15,6 +15,7 @@ from torch import Tensor
 from torchreg.errors import at_least, expect, expect_floating, expect_shape
 from torchreg.geometry.chunks import row_chunks
 
+_LEAST = -600.0  # of the logarithm of a share: what is never drawn but where nothing else is left
 _DRAW_ELEMENTS = 1 << 22  # a constant: the stream of draws depends on it
 
 
@@ -71,10 +72,27 @@ def draw_samples(
         noise.exponential_(generator=generator)
         drawn.append((logits.detach() - noise.to(logits.device).log()).topk(sample_size, dim=1).indices)
     rows = torch.cat(drawn)
-    chosen = logits.double().log_softmax(dim=0)[rows]  # (H, S)
-    share = chosen.exp()
-    left = (1 - (share.cumsum(dim=1) - share)).clamp(min=torch.finfo(torch.float64).eps)
-    return Samples(rows, (chosen - left.log()).sum(dim=1).to(logits.dtype))
+    log_share = logits.double().log_softmax(dim=0).clamp(min=_LEAST)  # (M,)
+    chosen = log_share[rows]  # (H, S)
+    return Samples(rows, (chosen - _log_left(log_share, rows)).sum(dim=1).to(logits.dtype))
+
+
+def _log_left(log_share: Tensor, rows: Tensor) -> Tensor:
+    """(H, S): the logarithm of what was left at every draw, without cancellation.
+
+    One less what was drawn loses all digits where few weights dominate. So the S - 1 heaviest are kept apart from the
+    sum of the others: as long as a draw took one of the others, one of the heaviest is left that outweighs it.
+    """
+    heavy = log_share.detach().topk(rows.shape[1] - 1).indices  # (S - 1,)
+    others = log_share.index_fill(0, heavy, -torch.inf).logsumexp(dim=0)  # ()
+    is_heavy = rows[..., None] == heavy  # (H, S, S - 1): the draw that took it
+    taken = is_heavy.cumsum(dim=1) - is_heavy.to(torch.int64)  # before this draw
+    heavy_left = torch.where(taken == 0, log_share[heavy].exp(), 0).sum(dim=2)
+    light = torch.where(is_heavy.any(dim=2), 0, log_share[rows].exp())
+    light_taken = light.cumsum(dim=1) - light
+    some = (taken == 0).any(dim=2)
+    together = torch.where(some, others.exp() - light_taken + heavy_left, 1).log()
+    return torch.where(some, together, others)
 
 
 def score_function_loss(losses: Tensor, log_probability: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ def full_precision(forward: _Forward) -> _Forward:
     def call(module: torch.nn.Module, *args: object, **words: object) -> Any:  # noqa: ANN401
         wide = [_widened(value) for value in args]
         named = {name: _widened(value) for name, value in words.items()}
-        kind = _device_type(args)
+        kind = _device_type((*args, *words.values()))
         if not (torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)):
             return forward(module, *wide, **named)
         with torch.autocast(kind, enabled=False):
@@ -44,7 +44,7 @@ def widened(value: Tensor) -> Tensor:
 
 def _device_type(args: tuple[object, ...]) -> str:
     """Where the first of the arguments is."""
-    first = args[0]
+    first = args[0] if args else None
     if isinstance(first, Clouds):
         return first.device.type
     value = first.values if isinstance(first, Features) else first

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from torchreg.errors import at_least, expect, expect_shape, positive
+from torchreg.geometry.derivatives import transformed
 from torchreg.geometry.robust_kabsch import robust_kabsch
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.geometry.soft_kabsch import soft_kabsch
@@ -84,6 +85,10 @@ class WeightedKabsch(nn.Module):
         if scale is not None:
             expect(self.rounds > 0, "scale", "None without rounds, which alone read it", scale)
             expect_shape(scale, "scale", (pairs,))
+            if not transformed(scale):
+                known = scale.detach()
+                fits = bool((torch.isfinite(known) & (known > 0)).all())
+                expect(fits, "scale", "finite numbers above 0", known.tolist())
             return scale.to(like)
         expect(self.rounds == 0 or self.scale is not None, "scale", "one per pair, as the module has none", scale)
         return like.new_full((pairs,), self.scale or 0.0)

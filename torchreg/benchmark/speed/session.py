@@ -18,6 +18,7 @@ from torchreg.benchmark.speed.document import markdown
 from torchreg.benchmark.speed.grid import POINTS, STAGES, Cell, cells
 from torchreg.benchmark.speed.memory import can_be_measured, peak_bytes
 from torchreg.benchmark.speed.scene import Scenes
+from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write
 
 QUICK_POINTS = (500, 2_000)
@@ -39,6 +40,10 @@ class Session:
     points: tuple[int, ...] = POINTS
     repeats: int = 5
     quick: bool = False
+
+    def __post_init__(self) -> None:
+        most = max(POINTS)
+        expect(max(self.points) <= most, "points", f"at most {most:,}, which a simulated scan holds", self.points)
 
     def run(self, report: Callable[[str], None] = lambda _: None) -> list[Row]:
         """Time what the folder does not hold yet, and write all files anew.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from dataclasses import dataclass
@@ -115,7 +116,19 @@ class Session:
         """What every row depends on."""
         versions = {name: facts[name] for name in ("torchreg", "torch", "open3d")}
         places = {"folder": os.path.abspath(self.folder), "log": None if self.log is None else str(self.log)}
-        return {**versions, **places, "voxel": self.voxel, "seed": self.seed, "device": self.device}
+        chosen = {"voxel": self.voxel, "seed": self.seed, "device": self.device}
+        return {**versions, **places, "truth": _truth(Fragments(self.folder, log=self.log)), **chosen}
+
+
+def _truth(dataset: Fragments) -> str:
+    """A digest of all poses and information matrices: rows measured against others are not taken for these."""
+    digest = hashlib.sha256()
+    for k, name in enumerate(dataset.names):
+        digest.update(name.encode())
+        digest.update(dataset.T_target_source[k].numpy().tobytes())
+        if dataset.information is not None:
+            digest.update(dataset.information[k].numpy().tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _item(dataset: Fragments, k: int, voxel: float) -> Item:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_floating, expect_shape, fraction, one_of
+from torchreg.geometry.derivatives import transformed
 from torchreg.types import Neighborhoods
 
 BINNINGS = ("hard", "soft")
@@ -19,6 +20,18 @@ def expect_binning(binning: str, bandwidth: float, *, edges: Tensor | None, neig
         expect(bandwidth == 1, "bandwidth", "1 with hard binning, which does not read it", bandwidth)
         expect(edges is None, "edges", "None with hard binning, whose bins are equal", edges)
         expect(neighbor_weights is None, "neighbor_weights", "None with hard binning, which counts", neighbor_weights)
+
+
+def expect_finite(value: Tensor, name: str, *, unit: bool = False) -> None:
+    """Refuse numbers that are not finite, or not in [0, 1] where ``unit``.
+
+    Inside compilation and transforms, where no value can be read, nothing is looked at.
+    """
+    if transformed(value):
+        return
+    known = value.detach()
+    fits = (known >= 0) & (known <= 1) if unit else torch.isfinite(known)
+    expect(bool(fits.all()), name, "numbers in [0, 1]" if unit else "finite numbers", "some that are not")
 
 
 def bin_edges(edges: Tensor | None, rows: int, bins: int, like: Tensor) -> Tensor | None:
@@ -42,6 +55,7 @@ def slot_weights(weights: Tensor | None, near: Neighborhoods, like: Tensor) -> T
     expect_shape(weights, "neighbor_weights", (len(near), near.max_neighbors))
     expect_floating(weights, "neighbor_weights")
     if not torch.compiler.is_compiling():
-        allowed = bool((torch.isfinite(weights.detach()) & (weights.detach() >= 0) | ~near.valid).all())
-        expect(allowed, "neighbor_weights", "finite numbers not below 0", weights)
+        known = weights.detach().to(like)
+        allowed = bool((torch.isfinite(known) & (known >= 0) | ~near.valid).all())
+        expect(allowed, "neighbor_weights", f"numbers not below 0 that are finite in {like.dtype}", weights)
     return weights.to(like)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import HUE_LEVELS
+from torchreg.descriptors.soft.arguments import expect_finite
 from torchreg.descriptors.soft.votes import bin_shares
 from torchreg.errors import expect_floating, expect_shape, fraction
 from torchreg.types.packing import checked_offsets, spans
@@ -28,11 +29,12 @@ def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tenso
         same bits in any batch and number of threads.
 
     Raises:
-        ValueError: shapes that do not fit, or a bandwidth out of its range.
+        ValueError: shapes that do not fit, or hues or a bandwidth out of their range.
     """
     expect_shape(hue, "hue", ("P",))
     expect_floating(hue, "hue")
     fraction(bandwidth, "bandwidth")
+    expect_finite(hue, "hue", unit=True)
     parts = [_equalize_one(hue[begin:end], bandwidth) for begin, end in spans(checked_offsets(offsets, len(hue)))]
     return torch.cat(parts) if parts else hue
 
