@@ -39,7 +39,7 @@ widths = [1.0, 0.3, 0.1, 0.03, 0.01, 0.003]
 away = [float((tr.fpfh(source, near_source, binning="soft", bandwidth=w).values - hard).abs().mean()) for w in widths]
 figure, axis = plt.subplots(figsize=(5, 3), layout="constrained")
 axis.loglog(widths, away, "o-")
-axis.set(xlabel="bandwidth", ylabel="mean distance from hard bins (percent)", title="soft FPFH")
+axis.set(xlabel="bandwidth", ylabel="mean difference (percent)", title="soft FPFH against hard")
 plt.show()
 
 # %% [markdown]
@@ -58,8 +58,9 @@ print(f"{int((strength > 0).sum())} of {len(points)} points have a say, {int(nea
 figure, axis = plt.subplots(figsize=(5, 4), layout="constrained")
 axis.scatter(*source.points[:, :2].T, c="0.85", s=3)
 felt = strength > 0
-axis.scatter(*source.points[felt, :2].T, c=strength[felt].log10(), s=6, cmap="viridis")
-axis.set(title="log10 of the gradient of one FPFH", aspect="equal", xticks=[], yticks=[])
+shown = axis.scatter(*source.points[felt, :2].T, c=strength[felt].log10(), s=6, cmap="viridis")
+figure.colorbar(shown, label="log10 of the gradient")
+axis.set(title="what one FPFH hangs on", aspect="equal", xticks=[], yticks=[])
 plt.show()
 
 # %% [markdown]

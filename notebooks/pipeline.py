@@ -71,7 +71,7 @@ bent = torch.where(shape["source"].valid, shape["source"].values.std(dim=1), tor
 figure, axis = plt.subplots(figsize=(10, 2.6), layout="constrained")
 for row, name, shift in ((flat, "flat", -0.2), (bent, "bent", 0.2)):
     axis.bar([bin_ + shift for bin_ in range(33)], shape["source"].values[row].tolist(), width=0.4, label=name)
-axis.set(xlabel="bin: f1, f2, f3 with 11 each", ylabel="percent", title="FPFH of two points")
+axis.set(xlabel="bin: f1, f2, f3 with 11 each", ylabel="percent (an angle: 200)", title="FPFH of two points")
 axis.legend(frameon=False)
 plt.show()
 

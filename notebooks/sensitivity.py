@@ -65,8 +65,9 @@ for panel, (axis, values) in zip(panels, axes.items(), strict=True):
     ratios = [mean_ratio(replace(PAPER_RULE, **{axis: value})) for value in values]
     names = [" ".join(word[0] for word in value) if isinstance(value, tuple) else str(value) for value in values]
     panel.plot(names, ratios, "o-")
-    panel.set(title=axis, ylim=(0, None))
+    panel.set_title(axis)
     print(axis, dict(zip(names, [round(ratio, 3) for ratio in ratios], strict=True)))
+panels[0].set_ylim(0, None)
 panels[0].set_ylabel("inlier ratio")
 plt.show()
 
@@ -97,9 +98,9 @@ print(f"a hall not seen: {fixed:.1%} of the matches right by the paper's rule, {
 
 figure, panels = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
 panels[0].plot(losses)
-panels[0].set(xlabel="step", title="contrastive loss")
+panels[0].set(xlabel="step", ylabel="loss", title="contrastive loss")
 for edges, name in zip(model.edges().detach(), model.channels, strict=True):
     panels[1].plot(edges, label=name)
-panels[1].set(xlabel="edge", title="edges of the bins")
+panels[1].set(xlabel="edge", ylabel="difference of colors", title="edges of the bins")
 panels[1].legend(frameon=False)
 plt.show()

@@ -103,6 +103,10 @@ __all__ = [
 _ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference")
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 def __getattr__(name: str) -> ModuleType:
     if name in _ON_FIRST_USE:
         return importlib.import_module(f"torchreg.{name}")

@@ -1,4 +1,4 @@
-"""Training of what the paper fixes by hand: losses, augmentation, and weights learned on some scenes for others."""
+"""Training of what the paper fixes by hand: losses, hypotheses to train through, and the color block's weights."""
 
 from torchreg.learning.losses import (
     PoseLoss,
@@ -8,6 +8,7 @@ from torchreg.learning.losses import (
     pose_loss,
     true_distances,
 )
+from torchreg.learning.prepared import PreparedCloud, PreparedPair, prepare_cloud, prepare_pair
 from torchreg.learning.sampling import Samples, draw_samples, score_function_loss
 from torchreg.learning.soft_selection import (
     DrawnHypothesis,
@@ -16,20 +17,28 @@ from torchreg.learning.soft_selection import (
     expected_loss,
     select_softly,
 )
+from torchreg.learning.training import TrainingOptions, describe_with, train_color
 
 __all__ = [
     "DrawnHypothesis",
     "PoseLoss",
+    "PreparedCloud",
+    "PreparedPair",
     "Samples",
     "SoftSelection",
+    "TrainingOptions",
     "circle_loss",
+    "describe_with",
     "draw_hypothesis",
     "draw_samples",
     "expected_loss",
     "info_nce",
     "inlier_probability_loss",
     "pose_loss",
+    "prepare_cloud",
+    "prepare_pair",
     "score_function_loss",
     "select_softly",
+    "train_color",
     "true_distances",
 ]

@@ -45,6 +45,12 @@ class Cell:
     build: Subject
 
     @property
+    def words(self) -> str:
+        """What is timed, without what does not apply."""
+        drawn = f", {self.hypotheses:,} hypotheses" if self.hypotheses else ""
+        return f"{self.subject}, {self.points:,} points, {self.neighbors} neighbors{drawn}"
+
+    @property
     def key(self) -> str:
         """A name of its own."""
         return f"{self.subject}, {self.points} points, {self.neighbors} neighbors, {self.hypotheses} hypotheses"

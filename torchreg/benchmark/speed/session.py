@@ -63,7 +63,7 @@ class Session:
         scenes, asked = Scenes(), list(cells(QUICK_POINTS if self.quick else self.points))
         for cell in asked:
             if cell.key not in rows:
-                report(cell.key)
+                report(cell.words)
                 rows.add(self._measured(cell, scenes))
         found = [rows[cell.key] for cell in asked]
         self._write(found, facts)
