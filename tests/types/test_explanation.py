@@ -97,7 +97,7 @@ def test_a_result_of_a_solver_alone():
     assert "9,000 drawn, 800 kept by the first test, 70 scored" in line(text, "Hypotheses")
     assert "3 of 4 (75 %) matches" in line(text, "Inliers")
     assert line(text, "Verdict").endswith(" registered")
-    assert line(text, "May help").endswith("nothing needs to change")
+    assert line(text, "May help").endswith("weighs the pose against the clouds as well")
     for label in ("Points", "Candidates", "Pose", "Runner-up", "Overlap", "Strength"):
         assert label not in text
 

@@ -40,8 +40,9 @@ def settled(facts: Facts) -> str:
     """What to say where there is no advice."""
     if not facts.success:
         return "no figure above points to one setting" if facts.kind in _FIRST else "other clouds: the reason says why"
-    said = "nothing needs to change"
-    return said if facts.probability is None else f"{said} (probability {chance(facts.probability)})"
+    if facts.probability is None:
+        return 'nothing in the matches; an effort other than "plain" weighs the pose against the clouds as well'
+    return f"nothing needs to change (probability {chance(facts.probability)})"
 
 
 def _points(facts: Facts) -> str:
