@@ -21,13 +21,13 @@ from readme import put_into_readme
 from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.sensitivity.cases import real_cases, simulated_cases
 from torchreg.benchmark.sensitivity.figures import draw_sweep
-from torchreg.benchmark.sensitivity.learned import evenly, judged_by_others, learned_table, new_model
+from torchreg.benchmark.sensitivity.learned import judged_by_others, learned_table, trained_model
 from torchreg.benchmark.sensitivity.sweep import sweep, sweep_table
 from torchreg.benchmark.sensitivity.variants import AXES, BETTER_RULE, PAPER_RULE, label
 from torchreg.descriptors.learned import save_weights
 from torchreg.descriptors.learned.shipped import SHIPPED
 from torchreg.learning.prepared import PreparedPair
-from torchreg.learning.training import TrainingOptions, train_color
+from torchreg.learning.training import TrainingOptions
 
 KEPT = RESULTS / "sensitivity"
 MALLS = range(4)
@@ -78,9 +78,7 @@ def main() -> None:
     if arguments.per_scene is not None:
         pairs = spread_evenly(pairs, arguments.per_scene)
     if arguments.study == "ship":
-        model = new_model(0)
-        train_color(model, evenly(pairs), OPTIONS, report=lambda step, loss: say(f"{step} {loss:.3f}"))
-        say(f"weights in {save_weights(model, SHIPPED)}")
+        say(f"weights in {save_weights(trained_model(pairs, OPTIONS), SHIPPED)}")
         return
     KEPT.mkdir(parents=True, exist_ok=True)
     kept = Rows(KEPT, {"study": "sensitivity"})

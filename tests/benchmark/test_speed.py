@@ -7,12 +7,12 @@ from refusals import refuses
 from typer.testing import CliRunner
 
 from torchreg.benchmark.speed import session as sessions
-from torchreg.benchmark.speed.clock import timed
 from torchreg.benchmark.speed.document import growth_table, series, times_table
 from torchreg.benchmark.speed.grid import HYPOTHESES, SLOTS, STAGES, cells
 from torchreg.benchmark.speed.growth import slope
 from torchreg.benchmark.speed.scene import Scenes
 from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
+from torchreg.benchmark.timing import interleaved
 from torchreg.cli.app import app
 
 
@@ -29,14 +29,14 @@ def test_a_slope_needs_two_sizes():
 
 def test_every_function_runs_once_to_warm_up_and_then_in_turn():
     calls = []
-    found = timed({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
+    found = interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
     assert calls == ["a", "b"] + ["a", "b"] * 3
     assert [len(seconds) for seconds in found.values()] == [3, 3]
 
 
 def test_what_takes_longer_than_the_patience_is_timed_once():
     calls = []
-    found = timed({"slow": lambda: calls.append(1)}, 5, patience=0.0)
+    found = interleaved({"slow": lambda: calls.append(1)}, 5, patience=0.0)
     assert len(calls) == len(found["slow"]) == 1
 
 
@@ -92,7 +92,7 @@ def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
     assert [one["subject"] for one in content["rows"]] == [cell.subject for cell in asked]
     assert (out / "speed.png").stat().st_size > 5000
     assert "neighbor search" in (out / "speed.md").read_text()
-    monkeypatch.setattr(sessions, "timed", lambda *_: pytest.fail("measured again"))
+    monkeypatch.setattr(sessions, "interleaved", lambda *_, **__: pytest.fail("measured again"))
     assert CliRunner().invoke(app, words).exit_code == 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import torch
 
@@ -34,6 +35,13 @@ def new_model(seed: int) -> LearnedColor:
         return LearnedColor()
 
 
+def trained_model(pairs: Sequence[PreparedPair], options: TrainingOptions) -> LearnedColor:
+    """A model trained on these pairs, every scene drawn as often."""
+    model = new_model(options.seed)
+    train_color(model, evenly(pairs), options)
+    return model
+
+
 def judged_by_others(
     pairs: Sequence[PreparedPair],
     seeds: Sequence[int],
@@ -48,23 +56,14 @@ def judged_by_others(
     measured on this one.
     """
     found = {name: [measured(pair, variant, kept) for pair in pairs] for name, variant in FIXED.items()}
-    plain = new_model(0)
+    plain = cache(partial(new_model, 0))
     found[UNTRAINED] = [_measured(pair, plain, options, kept, "untrained") for pair in pairs]
     by_seed: dict[int, dict[str, Worth]] = {seed: {} for seed in seeds}
     for scene in dict.fromkeys(pair.scene for pair in pairs):
         tests = [pair for pair in pairs if pair.scene == scene]
         others = [pair for pair in pairs if pair.scene != scene]
         for seed in seeds:
-            models: dict[str, LearnedColor] = {}
-
-            def trained(
-                seed: int = seed, others: list[PreparedPair] = others, models: dict[str, LearnedColor] = models
-            ) -> LearnedColor:
-                if "model" not in models:
-                    models["model"] = new_model(seed)
-                    train_color(models["model"], evenly(others), replace(options, seed=seed))
-                return models["model"]
-
+            trained = cache(partial(trained_model, others, replace(options, seed=seed)))  # only where it is needed
             for pair in tests:
                 by_seed[seed][pair.name] = _measured(pair, trained, options, kept, f"learned without {scene} {seed}")
             if report is not None:
@@ -110,16 +109,15 @@ def learned_table(pairs: Sequence[PreparedPair], found: dict[str, list[Worth]]) 
 
 def _measured(
     pair: PreparedPair,
-    model: LearnedColor | Callable[[], LearnedColor],
+    model: Callable[[], LearnedColor],
     options: TrainingOptions,
     kept: Rows,
     name: str,
 ) -> Worth:
     def run() -> Worth:
-        chosen = model if isinstance(model, LearnedColor) else model()
         radius = options.color_radius * pair.voxel
         with torch.no_grad():
-            features = describe_with(chosen, pair.source, radius), describe_with(chosen, pair.target, radius)
+            features = describe_with(model(), pair.source, radius), describe_with(model(), pair.target, radius)
         return worth(pair, features, RANSAC_SEEDS)
 
     return remembered(kept, f"{pair.name} {name} {options}", run)

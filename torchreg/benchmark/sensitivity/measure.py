@@ -38,11 +38,12 @@ class Worth(NamedTuple):
 def described(pair: PreparedPair, variant: Variant) -> tuple[Features, Features]:
     """Fused features of both scans."""
     if variant.weight == 0:
-        return tuple(_rooted(side.fpfh, variant.root) for side in (pair.source, pair.target))  # type: ignore[return-value]
+        return _rooted(pair.source.fpfh, variant.root), _rooted(pair.target.fpfh, variant.root)
     if variant.equalization == "joint":
         values = joint_color_values(pair.source.cloud, pair.target.cloud)
     else:
-        values = tuple(color_values(side.cloud, variant.equalization) for side in (pair.source, pair.target))  # type: ignore[assignment]
+        source, target = pair.source.cloud, pair.target.cloud
+        values = color_values(source, variant.equalization), color_values(target, variant.equalization)
     return _fused(pair.source, values[0], variant, pair.voxel), _fused(pair.target, values[1], variant, pair.voxel)
 
 

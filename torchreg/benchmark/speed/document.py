@@ -11,6 +11,7 @@ from torchreg.benchmark.speed.growth import slope
 from torchreg.benchmark.speed.scene import NEIGHBORS
 from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
 from torchreg.benchmark.tables import markdown_table
+from torchreg.benchmark.timing import spread
 
 CAPTION = (
     "Two stations of a simulated mall, so many points a cloud drawn at random; supports 2 spacings (normals, 30 "
@@ -41,7 +42,7 @@ def times_table(rows: Sequence[Row]) -> str:
             else ""
             for other in (CLASSIC, TENSOR)
         ]
-        times = [_spread(seconds[name]) if name in seconds else "" for name in METHODS]
+        times = [spread(seconds[name]) if name in seconds else "" for name in METHODS]
         lines.append([row["subject"], size_of(row), *times, *ratios])
     return markdown_table(head, lines)
 
@@ -101,13 +102,6 @@ def _in_order(rows: Sequence[Row]) -> list[Row]:
     order = list(dict.fromkeys(row["subject"] for row in rows if row["subject"] not in (RANSAC, WHOLE)))
     order += [RANSAC, WHOLE]
     return sorted(rows, key=lambda row: order.index(row["subject"]))
-
-
-def _spread(seconds: Sequence[float]) -> str:
-    scale, unit = (1e3, "ms") if median(seconds) < 1 else (1.0, "s")
-    if len(seconds) == 1:
-        return f"{seconds[0] * scale:.3g} {unit} (once)"
-    return f"{median(seconds) * scale:.3g} {unit} ({min(seconds) * scale:.3g} to {max(seconds) * scale:.3g})"
 
 
 def _bytes(count: int | None) -> str:

@@ -13,13 +13,16 @@ import torch
 from torchreg.benchmark.machine import in_words, machine
 from torchreg.benchmark.rows import Row, Rows
 from torchreg.benchmark.speed.chart import draw
-from torchreg.benchmark.speed.clock import PATIENCE, timed
 from torchreg.benchmark.speed.document import markdown
 from torchreg.benchmark.speed.grid import POINTS, STAGES, Cell, cells
 from torchreg.benchmark.speed.memory import can_be_measured, peak_bytes
 from torchreg.benchmark.speed.scene import Scenes
+from torchreg.benchmark.timing import interleaved
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write
+
+PATIENCE = 60.0
+"""Seconds for the counted runs of one function; the first one is always counted."""
 
 QUICK_POINTS = (500, 2_000)
 _WEIGHED = ("FPFH + PCFH with search", "whole pair")  # whose peak memory is measured
@@ -71,7 +74,7 @@ class Session:
 
     def _measured(self, cell: Cell, scenes: Scenes) -> Row:
         runs = cell.build(scenes.scene(cell.points, cell.neighbors))
-        seconds = timed(runs, 2 if self.quick else self.repeats, PATIENCE)
+        seconds = interleaved(runs, 2 if self.quick else self.repeats, patience=PATIENCE)
         row: Row = {
             "key": cell.key,
             "subject": cell.subject,

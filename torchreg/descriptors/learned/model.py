@@ -13,11 +13,13 @@ how rows are cut, no function that rounds differently in different lanes.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor, nn
 
 from torchreg.descriptors.color import color_values
-from torchreg.descriptors.fuse import fuse, rooted, unit_rows
+from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.descriptors.histograms import gather
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
 from torchreg.errors import at_least, expect, one_of
@@ -124,9 +126,10 @@ class LearnedColor(nn.Module):
     def fused(self, geometry: Features, color: Features) -> Features:
         """FPFH and this block as one vector, with the learned root and weight. Gradients flow."""
         root, weight = self.geometry_root().to(geometry.values), self.block_weight().to(geometry.values)
-        plain = fuse(geometry, color)  # checks, offsets, blocks and validity
-        parts = [unit_rows(rooted(geometry.values, root)), unit_rows(color.values) * weight]
-        return Features(torch.cat(parts, dim=1), plain.offsets, plain.blocks, plain.valid)
+        alike = fuse(replace(geometry, values=rooted(geometry.values, root)), color)
+        width = geometry.values.shape[1]
+        scale = torch.cat([torch.ones_like(weight).expand(width), weight.expand(color.values.shape[1])])
+        return replace(alike, values=alike.values * scale)
 
 
 def _squashed(x: Tensor) -> Tensor:

@@ -16,8 +16,8 @@ def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tenso
     """Histogram-equalize hues, every packed cloud by itself, with gradients.
 
     As ``torchreg.descriptors.color.equalize`` over 256 levels, but a hue passes from one level to the next over a
-    ramp (``soft.votes``), both where it is counted and where the map is read. The least mapped hue becomes 0, the
-    largest 1.
+    ramp (``soft.votes``), both where it is counted and where the map is read. The least hue becomes 0, the
+    largest nearly 1.
 
     Args:
         hue: (P,) in [0, 1].

@@ -13,7 +13,7 @@ and with e = dS / L, h = df2 / L, where dX is the gradient that arrives at X,
     dn = 2 dN n + dt g + da u + dv x u
     du = dc g + da n + n x dv,   dd = (du - u (u.du)) / |d|
 
-``autograd`` gives the same numbers; it takes four times as long, since it keeps and walks every step.
+``autograd`` gives the same numbers, but keeps and walks every step; this is one function that compilers can fuse.
 """
 
 from __future__ import annotations
