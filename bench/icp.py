@@ -27,8 +27,9 @@ from torch import Tensor
 import torchreg as tr
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.open3d_loader import load_open3d
-from torchreg.refinement import IcpOptions, IcpResult, icp
+from torchreg.refinement import IcpOptions, IcpResult
 from torchreg.refinement.gauss_newton import rotation_zyx
+from torchreg.refinement.icp import icp
 
 ITERATIONS = 30
 KINDS = ("point_to_point", "point_to_plane", "colored")

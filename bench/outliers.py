@@ -22,8 +22,8 @@ from readme import put_into_readme
 from torch import Tensor
 
 import torchreg as tr
-from torchreg.benchmark.methods import METHODS, NOT_HERE
-from torchreg.benchmark.methods.kiss import kiss_solve
+from torchreg.benchmark.peers import METHODS, NOT_HERE
+from torchreg.benchmark.peers.kiss import kiss_solve
 from torchreg.datasets import MatchProblem, match_problem
 from torchreg.open3d_loader import load_open3d
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 
 THREADS = (1, 2, 3, 8)  # 8: matrix products are cut in another way there
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchreg.benchmark.methods import Answer, Matched, Method, Task
+from torchreg.benchmark.peers import Answer, Matched, Method, Task
 from torchreg.types import Correspondences
 
 
@@ -44,7 +44,7 @@ def _never(task: Task) -> Answer:
 def install(monkeypatch: object, *methods: Method) -> None:
     """Make these all the methods there are."""
     from torchreg.benchmark.field import session as field_session
-    from torchreg.benchmark.methods import registry
+    from torchreg.benchmark.peers import registry
     from torchreg.benchmark.threedmatch import session as fragments_session
 
     table = {method.name: method for method in methods}

@@ -13,11 +13,11 @@ from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, inverse_square_weights, weighted_sum
 from torchreg.descriptors.pair_features import Oriented, angle_bins, pair_features, unit_bins
 from torchreg.descriptors.pcfh import difference_bins
-from torchreg.geometry.chunks import stable_sum
 from torchreg.geometry.eigen import symmetric_eigen
-from torchreg.hypotheses.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
-from torchreg.ransac.minimal import sample_fits, solve_samples
-from torchreg.ransac.prune import edge_marks, spans_plane
+from torchreg.geometry.numerics.chunks import stable_sum
+from torchreg.solvers.ransac.minimal import sample_fits, solve_samples
+from torchreg.solvers.ransac.prune import edge_marks, spans_plane
+from torchreg.solvers.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
 
 ROWS, SLOTS, HYPOTHESES, MATCHES, SAMPLE = 5, 4, 6, 9, 3
 

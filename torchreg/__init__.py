@@ -11,11 +11,13 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from torchreg import metrics
-from torchreg.compatibility import compatibility
-from torchreg.descriptors import contrast, fpfh, fuse, pcfh
+from torchreg.descriptors.contrast import contrast
+from torchreg.descriptors.fpfh import fpfh
+from torchreg.descriptors.fuse import fuse
+from torchreg.descriptors.pcfh import pcfh
 from torchreg.descriptors.soft.equalize import soft_equalize
-from torchreg.geometry.compiled import compiled_kernels
 from torchreg.geometry.kabsch import kabsch
+from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
 from torchreg.io import (
     from_open3d,
@@ -24,16 +26,20 @@ from torchreg.io import (
     write_cloud,
 )
 from torchreg.matching import match_mutual, soft_match
-from torchreg.neighbors import neighbors
+from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import (
     estimate_normals,
     farthest_point_downsample,
     random_downsample,
     voxel_downsample,
 )
-from torchreg.ransac import ransac
-from torchreg.refinement import IcpOptions, icp
-from torchreg.registration import LEARNED, PAPER, derive_options, register, spacing
+from torchreg.refinement import IcpOptions
+from torchreg.refinement.icp import icp
+from torchreg.registration import LEARNED, PAPER, derive_options, spacing
+from torchreg.registration.register import register
+from torchreg.report.explain import explanation as _explanation  # noqa: F401  # the words of RegistrationResult.explain
+from torchreg.solvers.compatibility import compatibility
+from torchreg.solvers.ransac import ransac
 from torchreg.types import (
     Clouds,
     CompatibilityOptions,

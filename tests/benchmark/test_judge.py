@@ -11,7 +11,7 @@ from problems import room_pair
 
 import torchreg as tr
 from torchreg.benchmark.judge import judged
-from torchreg.benchmark.methods import Answer, Task
+from torchreg.benchmark.peers import Answer, Task
 from torchreg.geometry.se3 import rigid
 
 

@@ -11,7 +11,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.benchmark.judge import judged
-from torchreg.benchmark.methods import METHODS, NOT_HERE, Task, chosen_methods
+from torchreg.benchmark.peers import METHODS, NOT_HERE, Task, chosen_methods
 from torchreg.geometry.se3 import inverse, rigid
 
 VOXEL = 0.12

@@ -9,7 +9,7 @@ from problems import room_pair
 from real_folders import project
 
 import torchreg as tr
-from torchreg.benchmark.methods import METHODS
+from torchreg.benchmark.peers import METHODS
 from torchreg.cli import app as app_module
 
 

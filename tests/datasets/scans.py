@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from torchreg.datasets import ScanPair
-from torchreg.datasets.scene.arrays import Array
 from torchreg.open3d_loader import load_open3d
+from torchreg.synthetic.scene.arrays import Array
 from torchreg.types.clouds import Clouds
 
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
-from torchreg.matching import dual_softmax, sinkhorn
+from torchreg.matching.dual_softmax import dual_softmax
+from torchreg.matching.sinkhorn import sinkhorn
 
 SOLVERS = {
     "dual softmax": dual_softmax,

@@ -9,7 +9,8 @@ from torch.func import grad, vmap
 import torchreg as tr
 from torchreg.geometry.robust_kabsch import robust_kabsch
 from torchreg.geometry.soft_kabsch import soft_kabsch
-from torchreg.matching import dual_softmax, sinkhorn
+from torchreg.matching.dual_softmax import dual_softmax
+from torchreg.matching.sinkhorn import sinkhorn
 from torchreg.matching.soft import squared_distances
 from torchreg.matching.soft_targets import expected_targets
 from torchreg.nn.bin_edges import ascending_edges

@@ -8,7 +8,8 @@ from problems import plane_cloud
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.refinement import IcpLevel, IcpOptions, IcpResult, icp
+from torchreg.refinement import IcpLevel, IcpOptions, IcpResult
+from torchreg.refinement.icp import icp
 
 EYE = torch.eye(4, dtype=torch.float64)
 KINDS = ("point_to_point", "point_to_plane", "colored")

@@ -10,7 +10,8 @@ from closeness import close
 
 import torchreg as tr
 from torchreg.open3d_loader import load_open3d
-from torchreg.refinement import IcpOptions, icp
+from torchreg.refinement import IcpOptions
+from torchreg.refinement.icp import icp
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 KINDS = ("point_to_point", "point_to_plane", "colored")

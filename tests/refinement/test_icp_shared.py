@@ -7,7 +7,8 @@ import torch
 from determinism import THREADS, same_bits, threads
 
 import torchreg as tr
-from torchreg.refinement import IcpLevel, IcpOptions, Pairing, icp, refine_pairs
+from torchreg.refinement import IcpLevel, IcpOptions, Pairing, refine_pairs
+from torchreg.refinement.icp import icp
 from torchreg.refinement.nearest_few import few_nearest
 
 OPTIONS = {

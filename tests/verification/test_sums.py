@@ -4,7 +4,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchreg.geometry.chunks import stable_sum
+from torchreg.geometry.numerics.chunks import stable_sum
 from torchreg.verification.sums import padded, row_sums
 
 

@@ -13,11 +13,12 @@ from problems import random_rotation, room_pair
 
 import torchreg as tr
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.hypotheses import PairPoses
+from torchreg.solvers import PairPoses
 from torchreg.types import Clouds, Correspondences
 from torchreg.types.packing import offsets_of
-from torchreg.verification import Care, Lengths, Proposed, verify
+from torchreg.verification import Care, Lengths, Proposed
 from torchreg.verification.groups import groups_of
+from torchreg.verification.verify import verify
 
 CARE = Care(poses=6, sample=1100, refined=2, iterations=5)
 

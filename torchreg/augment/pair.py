@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import nn
@@ -12,11 +12,10 @@ from torchreg.augment.augmentation import Augmentation
 from torchreg.augment.streams import SeedStream, derived_seed
 from torchreg.errors import expect
 from torchreg.geometry.se3 import compose, inverse
+from torchreg.types.scan_pair import ScanPair
+from torchreg.types.scan_pair_batch import ScanPairBatch
 
-if TYPE_CHECKING:
-    from torchreg.datasets import ScanPair, ScanPairBatch
-
-PairType = TypeVar("PairType", "ScanPair", "ScanPairBatch")
+PairType = TypeVar("PairType", ScanPair, ScanPairBatch)
 
 
 class AugmentPair(nn.Module):

@@ -9,8 +9,8 @@ from typing import Any
 from torch import Tensor
 
 from torchreg import metrics
-from torchreg.benchmark.methods import Answer, Method, Task
-from torchreg.benchmark.methods.method import nothing_found
+from torchreg.benchmark.peers import Answer, Method, Task
+from torchreg.benchmark.peers.method import nothing_found
 
 
 def judged(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchreg.benchmark.judge import judged
-from torchreg.benchmark.methods import Method, Task
+from torchreg.benchmark.peers import Method, Task
 from torchreg.benchmark.rows import Rows
 from torchreg.preprocess import voxel_downsample
 from torchreg.types import Clouds

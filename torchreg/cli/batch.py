@@ -162,8 +162,8 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
 
     from torchreg.batch.export import export
     from torchreg.batch.summary import summarize
-    from torchreg.batch.summary_table import summary_table
     from torchreg.io.atomic import atomic_write
+    from torchreg.report.batch_table import summary_table
 
     store.mend_records(pairs)
     rows = store.finished()

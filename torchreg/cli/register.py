@@ -16,7 +16,7 @@ from torchreg.cli.overrides import Overrides, options_for
 from torchreg.cli.pair import PairInput, ReadPair, read_pair
 from torchreg.cli.progress import step
 from torchreg.metrics import pose_errors
-from torchreg.registration import register as register_clouds
+from torchreg.registration.register import register as register_clouds
 from torchreg.report.save import FIGURE_SUFFIXES
 from torchreg.types import RegistrationResult
 

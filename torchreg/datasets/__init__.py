@@ -8,12 +8,12 @@ Example:
 
 from torchreg.datasets.cloud_files import CloudFiles, CloudReader
 from torchreg.datasets.fragments import Fragments
-from torchreg.datasets.mall import mall
-from torchreg.datasets.matches import MatchProblem, match_problem
-from torchreg.datasets.pair import ScanPair
-from torchreg.datasets.pair_batch import ScanPairBatch, pack_pairs
-from torchreg.datasets.road import road
 from torchreg.datasets.scan_pairs import ScanPairs
+from torchreg.synthetic.mall_scans import mall
+from torchreg.synthetic.match_problems import MatchProblem, match_problem
+from torchreg.synthetic.road_scans import road
+from torchreg.types.scan_pair import ScanPair
+from torchreg.types.scan_pair_batch import ScanPairBatch, pack_pairs
 
 __all__ = [
     "CloudFiles",

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from torchreg.datasets.cloud_files import CloudReader
-from torchreg.datasets.pair import ScanPair
 from torchreg.datasets.pair_files import PairFiles
 from torchreg.errors import CloudFileError, expect
 from torchreg.io.placement import Viewpoint
 from torchreg.io.redwood_log import LogEntry, read_redwood_info, read_redwood_log
+from torchreg.types.scan_pair import ScanPair
 
 _EVALUATION = "-evaluation"
 _FRAGMENTS = ("cloud_bin_{}.ply", "Hokuyo_{}.ply")

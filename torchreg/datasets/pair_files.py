@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from torchreg.datasets.cloud_files import CloudFiles, CloudReader
-from torchreg.datasets.pair import ScanPair
+from torchreg.types.scan_pair import ScanPair
 
 
 class PairFiles(Dataset[ScanPair]):

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import torch
 
 from torchreg.datasets.cloud_files import CloudReader
-from torchreg.datasets.pair import ScanPair
 from torchreg.datasets.pair_files import PairFiles
 from torchreg.errors import CloudFileError
 from torchreg.io import read_pairs_file
 from torchreg.io.placement import Viewpoint
+from torchreg.types.scan_pair import ScanPair
 
 
 class ScanPairs(PairFiles):

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchreg.descriptors.color import colors_of
 from torchreg.descriptors.histograms import gather
 from torchreg.errors import expect, positive
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CONTRAST_SIZE = 10

@@ -20,8 +20,8 @@ from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins,
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
 from torchreg.errors import expect, expect_floating, one_of
-from torchreg.geometry.chunks import row_chunks
-from torchreg.geometry.compiled import fusible
+from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.compiled import fusible
 from torchreg.types import Clouds, Features, Neighborhoods
 
 FPFH_SIZE = 3 * ANGLE_BINS

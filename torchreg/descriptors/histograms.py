@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 
 
 def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:

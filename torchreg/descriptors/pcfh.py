@@ -29,7 +29,7 @@ from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expec
 from torchreg.descriptors.soft.equalize import soft_equalize
 from torchreg.descriptors.soft.pcfh import soft_pcfh
 from torchreg.errors import at_least, expect, expect_floating, expect_shape, one_of
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CHANNELS = ("hue", "saturation", "value")

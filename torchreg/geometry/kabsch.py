@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.geometry.derivatives import derivative_wanted
 from torchreg.geometry.kabsch_gradient import with_gradient
+from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.geometry.se3 import apply_rotation, rigid
 
 

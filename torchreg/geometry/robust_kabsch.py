@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import at_least, expect, positive
-from torchreg.geometry.derivatives import derivative_wanted, transformed
-from torchreg.geometry.lengths import safe_sqrt
+from torchreg.geometry.numerics.derivatives import derivative_wanted, transformed
+from torchreg.geometry.numerics.lengths import safe_sqrt
 from torchreg.geometry.soft_kabsch import reciprocal, soft_kabsch
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchreg.descriptors import fpfh
+from torchreg.descriptors.fpfh import fpfh
 from torchreg.errors import at_least, expect, positive
-from torchreg.neighbors import nearest, neighbors
+from torchreg.neighborhoods import nearest, neighbors
 from torchreg.preprocess import estimate_normals, voxel_downsample
 from torchreg.types import Clouds, Features, Neighborhoods
 

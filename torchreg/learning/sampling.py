@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_floating, expect_shape
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 
 _LEAST = -600.0  # of the logarithm of a share: what is never drawn but where nothing else is left
 _DRAW_ELEMENTS = 1 << 22  # a constant: the stream of draws depends on it

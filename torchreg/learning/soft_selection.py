@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_dtype, expect_shape, positive
 from torchreg.geometry.kabsch import kabsch
-from torchreg.geometry.lengths import safe_length
+from torchreg.geometry.numerics.lengths import safe_length
 
 
 class SoftSelection(NamedTuple):

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least
-from torchreg.geometry.derivatives import TensorFunction, derivative_wanted, transformed
+from torchreg.geometry.numerics.derivatives import TensorFunction, derivative_wanted, transformed
 from torchreg.matching.pair_masks import one_number, score_masks
 
 

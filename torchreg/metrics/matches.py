@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.metrics.overlap import relative_transform
+from torchreg.metrics.fit import relative_transform
 from torchreg.types import Clouds, Correspondences
 from torchreg.types.packing import spans
 

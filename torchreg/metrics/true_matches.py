@@ -8,9 +8,9 @@ from torch import Tensor
 from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.quaternion import quaternion_wxyz
 from torchreg.geometry.se3 import apply_rotation, inverse
-from torchreg.metrics.overlap import relative_transform
+from torchreg.metrics.fit import relative_transform
 from torchreg.metrics.pose import rmse
-from torchreg.neighbors.nearest import nearest
+from torchreg.neighborhoods.nearest import nearest
 from torchreg.types import Clouds
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from torchreg.descriptors import fpfh, pcfh
+from torchreg.descriptors.fpfh import fpfh
 from torchreg.descriptors.pair_features import ANGLE_BINS
-from torchreg.descriptors.pcfh import CHANNELS
+from torchreg.descriptors.pcfh import CHANNELS, pcfh
 from torchreg.descriptors.soft.arguments import expect_binning
 from torchreg.errors import at_least, expect, one_of
 from torchreg.nn.bin_edges import BinEdges

@@ -8,8 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from torchreg.descriptors import fuse
-from torchreg.descriptors.fuse import rooted
+from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.errors import expect, fraction, positive
 from torchreg.nn.precision import full_precision, widened
 from torchreg.types import Features

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from torchreg.errors import at_least, expect, expect_shape, positive
-from torchreg.geometry.derivatives import transformed
+from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.geometry.robust_kabsch import robust_kabsch
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.geometry.soft_kabsch import soft_kabsch

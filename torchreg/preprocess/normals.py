@@ -14,10 +14,10 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import expect
-from torchreg.geometry.chunks import row_chunks, stable_sum
-from torchreg.geometry.derivatives import derivative_wanted
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.eigen_gradient import least_eigenvector
+from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
+from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 

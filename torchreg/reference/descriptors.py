@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.descriptors import fpfh
+from torchreg.descriptors.fpfh import fpfh
 from torchreg.errors import expect
 from torchreg.reference import stages
 from torchreg.reference.ties import ROUNDING, Tie, find_ties

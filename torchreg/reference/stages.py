@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, positive
-from torchreg.metrics.overlap import relative_transform
+from torchreg.metrics.fit import relative_transform
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference.legacy import hybrid, point_cloud, rows, wide
 from torchreg.types import Clouds, Features, Neighborhoods

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.descriptors.histograms import neighbor_votes
 from torchreg.descriptors.pair_features import ANGLE_BINS
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Clouds, Neighborhoods
 
 KINDS = ("edge of f1", "edge of f2", "edge of f3", "exchange", "line along a normal")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import CACHE_ELEMENTS, row_chunks
+from torchreg.geometry.numerics.chunks import CACHE_ELEMENTS, row_chunks
 
 BLOCK = 256
 _CHUNK_WIDTH = 8  # temporaries of a row that should stay in the cache together

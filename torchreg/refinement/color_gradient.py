@@ -10,8 +10,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import row_chunks
-from torchreg.neighbors import neighbors
+from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.neighborhoods import neighbors
 from torchreg.types import Clouds, Neighborhoods
 
 MAX_NEIGHBORS = 30

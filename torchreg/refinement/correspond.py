@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.refinement.blocks import BLOCK, Blocks
 from torchreg.refinement.nearest_few import FEW, Search
 

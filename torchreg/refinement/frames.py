@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import stable_sum
+from torchreg.geometry.numerics.chunks import stable_sum
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.refinement.pairing import Pairing
 from torchreg.types import Clouds

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchreg.neighbors.backends import uses_open3d
-from torchreg.neighbors.distances import sum_of_squares
-from torchreg.neighbors.open3d_tree import Tree
+from torchreg.neighborhoods.backends import uses_open3d
+from torchreg.neighborhoods.distances import sum_of_squares
+from torchreg.neighborhoods.open3d_tree import Tree
 
 FEW = 4
 """Measured: with 4 the tree takes a third longer than with 2, and hardly a point is searched a second time."""

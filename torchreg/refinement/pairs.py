@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.threads import shared_out
 from torchreg.refinement.checks import broken, expect_attributes
 from torchreg.refinement.frames import centered_frames, enter, leave
 from torchreg.refinement.levels import refine_levels, write
@@ -19,7 +20,6 @@ from torchreg.refinement.loop import State
 from torchreg.refinement.options import IcpOptions
 from torchreg.refinement.pairing import Pairing, among
 from torchreg.refinement.result import IcpResult
-from torchreg.refinement.workers import shared_out
 from torchreg.types import Clouds
 
 _SHARED_POINTS = 20_000

@@ -4,7 +4,6 @@ from torchreg.registration.described import DescribedClouds
 from torchreg.registration.describing import describe_clouds
 from torchreg.registration.match_and_solve import register_described
 from torchreg.registration.presets import LEARNED, PAPER
-from torchreg.registration.register import register
 from torchreg.registration.scale import derive_options, spacing
 
 __all__ = [
@@ -13,7 +12,6 @@ __all__ = [
     "DescribedClouds",
     "derive_options",
     "describe_clouds",
-    "register",
     "register_described",
     "spacing",
 ]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchreg.compatibility import judged as judged_sets
-from torchreg.hypotheses import collect
-from torchreg.ransac import judged as judged_samples
+from torchreg.solvers import collect
+from torchreg.solvers.compatibility import judged as judged_sets
+from torchreg.solvers.ransac import judged as judged_samples
 from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
-from torchreg.verification import Care, Lengths, Proposed, verify
+from torchreg.verification import Care, Lengths, Proposed
+from torchreg.verification.verify import verify
 
 CARE = {
     "fast": Care(poses=6, sample=600, refined=1, iterations=5, accepted=0.75),

@@ -8,12 +8,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchreg.descriptors import contrast, fpfh, fuse, pcfh
 from torchreg.descriptors.color import color_values, joint_color_values
-from torchreg.descriptors.fuse import rooted
+from torchreg.descriptors.contrast import contrast
+from torchreg.descriptors.fpfh import fpfh
+from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.descriptors.learned import shipped_color
+from torchreg.descriptors.pcfh import pcfh
 from torchreg.errors import expect
-from torchreg.neighbors import neighbors
+from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import estimate_normals, voxel_downsample
 from torchreg.preprocess.downsample import in_morton_order
 from torchreg.types import Clouds, Features, Neighborhoods, RegistrationOptions

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from torchreg.descriptors.color import color_values, joint_color_values
 from torchreg.errors import expect
-from torchreg.hypotheses import one_per_pair
 from torchreg.registration.describe import Options, describe, downsample, expect_alike, oriented
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import facts_of, set_aside, too_wide
@@ -23,6 +22,7 @@ from torchreg.registration.presets import PAPER
 from torchreg.registration.recipes import blocks_of, recipes_of
 from torchreg.registration.spacings import spacings_of
 from torchreg.registration.stopwatch import Stopwatch
+from torchreg.solvers import one_per_pair
 from torchreg.types import Clouds, RegistrationOptions
 
 _SLOT_BYTES = 32  # of a neighborhood's slot: index, distance and masks, of the search and of what restricts it

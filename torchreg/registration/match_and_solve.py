@@ -14,7 +14,8 @@ from torchreg.registration.recipes import blocks_of, match, recipes_of, solve
 from torchreg.registration.stopwatch import Stopwatch
 from torchreg.types import RegistrationOptions, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
-from torchreg.verification import Proposed, proposals_of
+from torchreg.verification import Proposed
+from torchreg.verification.verify import proposals_of
 
 
 def register_described(

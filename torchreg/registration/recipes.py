@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import torch
 
-from torchreg.compatibility import compatibility_poses
-from torchreg.hypotheses import PairPoses, base_seed
 from torchreg.matching import match_mutual
-from torchreg.ransac import ransac_poses
 from torchreg.registration.describe import Described, fused
+from torchreg.solvers import PairPoses, base_seed
+from torchreg.solvers.compatibility import compatibility_poses
+from torchreg.solvers.ransac import ransac_poses
 from torchreg.types import Clouds, CompatibilityOptions, Correspondences, RegistrationOptions
 
 NODES = {"plain": 2000, "fast": 1000, "balanced": 1000, "thorough": 2000}

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.neighbors import neighbors
+from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import voxel_downsample
 from torchreg.registration.same_clouds import same_clouds
 from torchreg.types import Clouds, RansacOptions, RegistrationOptions

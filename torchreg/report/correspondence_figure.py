@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import at_least
-from torchreg.metrics.overlap import relative_transform
+from torchreg.metrics.fit import relative_transform
 from torchreg.report.axes import axis_label
 from torchreg.report.layout import Layout, layout_of, placement
 from torchreg.report.matched import drawn_matches, matched_points

@@ -9,12 +9,12 @@ from rich.text import Text
 from torch import Tensor
 
 from torchreg.metrics import PoseErrors
+from torchreg.report.explain.facts import facts_of
+from torchreg.report.explain.verdict import meaning_of_strength, runner_up_words
+from torchreg.report.explain.words import chance
 from torchreg.report.options_rows import options_rows
 from torchreg.report.text import meters, plain, share, two_columns
 from torchreg.types import RegistrationResult
-from torchreg.types.explain.facts import facts_of
-from torchreg.types.explain.verdict import meaning_of_strength, runner_up_words
-from torchreg.types.explain.words import chance
 from torchreg.types.packing import spans
 
 

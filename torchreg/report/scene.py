@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
-from torchreg.metrics.overlap import relative_transform
+from torchreg.metrics.fit import relative_transform
 from torchreg.report.thinning import box, thin
 from torchreg.types import Clouds
 

@@ -2,6 +2,5 @@
 
 from torchreg.verification.care import Care, Lengths
 from torchreg.verification.collect import Proposed
-from torchreg.verification.verify import proposals_of, verify
 
-__all__ = ["Care", "Lengths", "Proposed", "proposals_of", "verify"]
+__all__ = ["Care", "Lengths", "Proposed"]

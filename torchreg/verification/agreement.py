@@ -14,8 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import row_chunks
-from torchreg.hypotheses.verdict import log10_binomial_tail
+from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.solvers.verdict import log10_binomial_tail
 
 _REPAIRINGS = 16
 _MOST = 400.0  # powers of ten: beyond it nothing is told apart, and numbers stay finite

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.hypotheses import PairPoses
+from torchreg.solvers import PairPoses
 from torchreg.types import Candidate, Clouds, Correspondences, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import offsets_of, spans
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.verification.free_space import RangeImages, sight
 from torchreg.verification.information import strengths
 from torchreg.verification.side import Side, gathered, partners, rotated

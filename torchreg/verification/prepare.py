@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.hypotheses import PairPoses
+from torchreg.solvers import PairPoses
 from torchreg.types import Clouds, Correspondences
 from torchreg.types.packing import spans
 from torchreg.verification.agreement import Matched, places

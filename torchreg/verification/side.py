@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.neighbors.point_index import PointIndex
+from torchreg.neighborhoods.point_index import PointIndex
 from torchreg.verification.cells import Cells, can_be_near, cells_of
 from torchreg.verification.free_space import RangeImages, side_by_side
 from torchreg.verification.poses import runs_of

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation, inverse, rigid
-from torchreg.hypotheses import PairPoses
-from torchreg.hypotheses.distinct import pose_vectors
-from torchreg.neighbors.coverage import coverage
+from torchreg.neighborhoods.coverage import coverage
+from torchreg.solvers import PairPoses
+from torchreg.solvers.distinct import pose_vectors
 from torchreg.types import Candidate
 from torchreg.verification.choose import Choice
 from torchreg.verification.collect import Verdict

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from torchreg.refinement import shared_out
+from torchreg.geometry.numerics.threads import shared_out
 from torchreg.types import Clouds, Proposal, RegistrationResult
 from torchreg.verification.care import Care, Lengths
 from torchreg.verification.choose import choose

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.neighbors.point_index import PointIndex
+from torchreg.neighborhoods.point_index import PointIndex
 from torchreg.types import Clouds
 from torchreg.verification.free_space import RangeImage, range_image
 

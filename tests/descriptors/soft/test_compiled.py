@@ -7,7 +7,7 @@ from determinism import pieces, same_bits, threads
 from problems import sphere_cloud
 
 import torchreg as tr
-from torchreg.geometry import compiled
+from torchreg.geometry.numerics import compiled
 
 # what torch's own compiler does on its way
 pytestmark = [

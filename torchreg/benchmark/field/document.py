@@ -8,8 +8,8 @@ from typing import NamedTuple
 from torchreg.benchmark.bootstrap import Interval
 from torchreg.benchmark.field import criteria
 from torchreg.benchmark.field.summary import Cell, Row, difference, groups, summarize
-from torchreg.benchmark.methods import Method
-from torchreg.benchmark.methods.words import how_and_gaps, nothing
+from torchreg.benchmark.peers import Method
+from torchreg.benchmark.peers.words import how_and_gaps, nothing
 from torchreg.benchmark.tables import Table, csv_table, markdown_table
 
 BASE = "default"

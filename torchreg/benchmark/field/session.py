@@ -12,7 +12,7 @@ from torchreg.benchmark.field.criteria import MATCH_VOXELS
 from torchreg.benchmark.field.document import Findings, csv_text, markdown
 from torchreg.benchmark.machine import in_words, machine
 from torchreg.benchmark.measure import Item, Report, key_of, measure
-from torchreg.benchmark.methods import METHODS, chosen_methods
+from torchreg.benchmark.peers import METHODS, chosen_methods
 from torchreg.benchmark.real_pairs import RealPair, read_real_pairs
 from torchreg.benchmark.rows import Rows
 from torchreg.errors import expect

@@ -18,8 +18,8 @@ from torchreg.benchmark.rows import Row, Rows
 from torchreg.geometry.se3 import transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample
-from torchreg.registration import register
 from torchreg.registration.describe import downsample
+from torchreg.registration.register import register
 from torchreg.types import Clouds
 
 

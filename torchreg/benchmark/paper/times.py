@@ -21,8 +21,8 @@ from torchreg.benchmark.paper.size import Size
 from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.timing import interleaved
 from torchreg.descriptors.color import color_values
-from torchreg.registration import register
 from torchreg.registration.describe import describe, fused, oriented
+from torchreg.registration.register import register
 from torchreg.types import Clouds, Features, Neighborhoods, RegistrationOptions
 
 SPANS = ("descriptors", "with neighborhoods and normals", "whole registration")

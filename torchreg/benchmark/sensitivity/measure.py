@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torchreg import metrics
 from torchreg.benchmark.sensitivity.variants import Variant
-from torchreg.descriptors import fuse, pcfh
 from torchreg.descriptors.color import color_values, joint_color_values
-from torchreg.descriptors.fuse import rooted
+from torchreg.descriptors.fuse import fuse, rooted
+from torchreg.descriptors.pcfh import pcfh
 from torchreg.learning.prepared import PreparedCloud, PreparedPair
 from torchreg.matching import match_mutual
-from torchreg.ransac import ransac
+from torchreg.solvers.ransac import ransac
 from torchreg.types import Features, RansacOptions
 
 INLIER_VOXELS, THRESHOLD_VOXELS = 2.0, 1.5

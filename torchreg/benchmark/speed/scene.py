@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from torchreg.datasets import mall
-from torchreg.descriptors import fpfh, fuse, pcfh
+from torchreg.descriptors.fpfh import fpfh
+from torchreg.descriptors.fuse import fuse
+from torchreg.descriptors.pcfh import pcfh
 from torchreg.matching import match_mutual
-from torchreg.neighbors import neighbors
+from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import estimate_normals, random_downsample
 from torchreg.registration import spacing
 from torchreg.types import Clouds, Correspondences, Features, Neighborhoods

@@ -14,16 +14,18 @@ from typing import Any
 import torch
 
 from torchreg.benchmark.speed.scene import Scene, Side
-from torchreg.descriptors import fpfh, pcfh
-from torchreg.geometry.compiled import compiled_kernels
+from torchreg.descriptors.fpfh import fpfh
+from torchreg.descriptors.pcfh import pcfh
+from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.matching import match_mutual
-from torchreg.neighbors import neighbors
+from torchreg.neighborhoods import neighbors
 from torchreg.open3d_loader import load_open3d
 from torchreg.preprocess import estimate_normals
-from torchreg.ransac import ransac
 from torchreg.reference import open3d
 from torchreg.reference.legacy import feature, hybrid, point_cloud
-from torchreg.registration import PAPER, register
+from torchreg.registration import PAPER
+from torchreg.registration.register import register
+from torchreg.solvers.ransac import ransac
 from torchreg.types import RansacOptions, RegistrationOptions
 
 OURS, COMPILED, CLASSIC, TENSOR = "torchreg", "torchreg, compiled", "Open3D", "Open3D, tensor"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from torchreg.benchmark.methods import Method
-from torchreg.benchmark.methods.words import how_and_gaps, nothing
+from torchreg.benchmark.peers import Method
+from torchreg.benchmark.peers.words import how_and_gaps, nothing
 from torchreg.benchmark.tables import Table, csv_table, markdown_table
 from torchreg.benchmark.threedmatch import protocol
 from torchreg.benchmark.threedmatch.protocol import Row, Score, counts, mean_score, pooled_recall, score

@@ -11,7 +11,7 @@ from typing import Any
 
 from torchreg.benchmark.machine import in_words, machine
 from torchreg.benchmark.measure import Item, Report, key_of, measure
-from torchreg.benchmark.methods import METHODS, chosen_methods
+from torchreg.benchmark.peers import METHODS, chosen_methods
 from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.threedmatch.document import Findings, csv_text, markdown
 from torchreg.benchmark.threedmatch.protocol import NEAR

@@ -23,7 +23,7 @@ from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.descriptors.histograms import gather
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
 from torchreg.errors import at_least, expect, one_of
-from torchreg.geometry.chunks import row_chunks
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
 
 BLOCK = "learned"

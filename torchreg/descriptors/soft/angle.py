@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchreg.geometry.derivatives import TensorFunction, transformed
+from torchreg.geometry.numerics.derivatives import TensorFunction, transformed
 
 _TERMS = {torch.float32: 6, torch.float64: 12}  # of t - t^3 / 3 + ... for t up to tan(pi / 16)
 

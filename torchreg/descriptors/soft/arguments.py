@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_floating, expect_shape, fraction, one_of
-from torchreg.geometry.derivatives import transformed
+from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.types import Neighborhoods
 
 BINNINGS = ("hard", "soft")

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchreg.descriptors.soft.rows import Piece, PieceGradient, by_rows
 from torchreg.descriptors.soft.spread import add_neighbors, distance_weights, scaled_gradient, scaled_to_100
 from torchreg.descriptors.soft.votes import Shares, bin_shares, share_gradient, shared_votes
-from torchreg.geometry.compiled import fusible
+from torchreg.geometry.numerics.compiled import fusible
 from torchreg.types import Neighborhoods
 
 _HUE, _SATURATION = 0, 1

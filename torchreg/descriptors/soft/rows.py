@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.histograms import gather, neighbor_votes
-from torchreg.geometry.chunks import row_chunks, stable_sum
-from torchreg.geometry.derivatives import TensorFunction, derivative_wanted, transformed
+from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
+from torchreg.geometry.numerics.derivatives import TensorFunction, derivative_wanted, transformed
 from torchreg.types import Neighborhoods
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchreg.descriptors.soft.pairs import distinct
 from torchreg.descriptors.soft.rows import Piece, PieceGradient, by_rows
 from torchreg.descriptors.soft.sums import neighbor_sum
-from torchreg.geometry.compiled import fusible
+from torchreg.geometry.numerics.compiled import fusible
 from torchreg.types import Neighborhoods
 
 

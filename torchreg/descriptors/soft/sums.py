@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.histograms import weighted_sum
-from torchreg.geometry.chunks import row_chunks
-from torchreg.geometry.derivatives import TensorFunction, transformed
+from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.derivatives import TensorFunction, transformed
 
 
 def neighbor_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:

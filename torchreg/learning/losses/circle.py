@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape, positive
-from torchreg.geometry.lengths import safe_length, safe_sqrt
+from torchreg.geometry.numerics.lengths import safe_length, safe_sqrt
 from torchreg.geometry.se3 import apply
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_floating
-from torchreg.geometry.lengths import safe_length
+from torchreg.geometry.numerics.lengths import safe_length
 
 
 class PoseLoss(NamedTuple):

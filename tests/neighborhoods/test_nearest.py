@@ -1,0 +1,83 @@
+"""The nearest of another set, exactly, by tree or by all pairs."""
+
+import pytest
+import torch
+from determinism import same_bits
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from refusals import refuses
+
+from torchreg.neighborhoods import nearest
+
+both_backends = pytest.mark.parametrize("backend", ["open3d", "torch"])
+both_dtypes = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+
+
+def random_points(count, seed=0, dtype=torch.float32):
+    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+
+
+@both_backends
+@both_dtypes
+@settings(max_examples=25)
+@given(queries=st.integers(0, 50), count=st.integers(1, 60), seed=st.integers(0, 2**31))
+def test_it_finds_what_all_pairs_find(backend, dtype, queries, count, seed):
+    query, points = random_points(queries, seed, dtype), random_points(count, seed + 1, dtype)
+    found = nearest(query, points, backend=backend)
+    x, y, z = (points - query[:, None]).unbind(2)
+    squares = x * x + y * y + z * z
+    assert same_bits(found.index, squares.argmin(dim=1))
+    assert same_bits(found.sq_distance, squares.amin(dim=1))
+
+
+@both_backends
+def test_a_set_is_nearest_to_itself(backend):
+    points = random_points(500)
+    found = nearest(points, points, backend=backend)
+    assert torch.equal(found.index, torch.arange(500))
+    assert not found.sq_distance.any()
+
+
+@both_backends
+def test_without_points_there_is_none(backend):
+    index, sq_distance = nearest(random_points(4), torch.zeros(0, 3), backend=backend)
+    assert index.tolist() == [-1] * 4
+    assert sq_distance.tolist() == [torch.inf] * 4
+    assert nearest(torch.zeros(0, 3), random_points(4), backend=backend).index.shape == (0,)
+
+
+def test_all_pairs_take_the_smallest_index_of_equals():
+    points = torch.tensor([[5.0, 0, 0], [1, 0, 0], [-1, 0, 0], [1, 0, 0]])
+    assert nearest(torch.zeros(1, 3), points, backend="torch").index.tolist() == [1]
+
+
+@pytest.mark.parametrize("max_bytes", [1, 5_000, 2**20])
+def test_the_budget_of_memory_does_not_show(max_bytes):
+    query, points = random_points(300), random_points(200, seed=1)
+    found = nearest(query, points, backend="torch", max_bytes=max_bytes)
+    assert same_bits(found, nearest(query, points, backend="torch"))
+
+
+@both_backends
+def test_it_carries_no_gradient(backend):
+    found = nearest(random_points(5).requires_grad_(), random_points(9, seed=1).requires_grad_(), backend=backend)
+    assert not found.sq_distance.requires_grad
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "parts"),
+    [
+        ({"query": torch.zeros(3)}, "query", ["(Q, 3)", "(3,)"]),
+        ({"points": torch.zeros(3, 2)}, "points", ["(N, 3)", "(3, 2)"]),
+        ({"query": torch.zeros(3, 3, dtype=torch.int64)}, "query", ["float32", "int64"]),
+        ({"points": torch.zeros(3, 3, dtype=torch.float64)}, "points", ["float32", "float64"]),
+        ({"points": torch.zeros(3, 3, device="meta")}, "points", ["cpu", "meta"]),
+        ({"query": torch.full((2, 3), torch.nan)}, "query", ["finite", "2 points"]),
+        ({"points": torch.full((3, 3), torch.inf)}, "points", ["finite", "3 points"]),
+        ({"backend": "best"}, "backend", ["'auto'", "'best'"]),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes, name, parts):
+    arguments = {"query": random_points(4), "points": random_points(5)} | changes
+    with refuses(name, *parts):
+        nearest(**arguments)

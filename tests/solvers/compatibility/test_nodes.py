@@ -1,0 +1,76 @@
+"""The choice among many correspondences: degrees exact, chance as measured, inliers kept."""
+
+import pytest
+import torch
+from determinism import THREADS, same_bits, threads
+
+from torchreg.datasets import match_problem
+from torchreg.solvers.compatibility import nodes as module
+from torchreg.solvers.compatibility.graph import first_order
+from torchreg.solvers.compatibility.nodes import choose_nodes, degrees, degrees_among
+
+
+def columns(problem):
+    source = problem.source.points[problem.matches.source].t()
+    target = problem.target.points[problem.matches.target].t()
+    return source.float().contiguous(), target.float().contiguous()
+
+
+@pytest.mark.parametrize(("tile", "wide"), [(100, 80), (5000, 80), (1 << 18, 4096)])
+def test_degrees_are_the_row_sums_of_the_graph(tile, wide, monkeypatch):
+    source, target = columns(match_problem(333, 0.6))
+    expected = first_order(source, target, 0.2).sum(dim=1) + 1  # itself
+    monkeypatch.setattr(module, "TILE_ELEMENTS", tile)
+    monkeypatch.setattr(module, "_COLUMNS", wide)
+    assert torch.equal(degrees(source, target, 0.2), expected)
+    assert torch.equal(degrees_among((source, target), (source, target), 0.2), expected)
+
+
+def test_few_are_all_taken():
+    source, target = columns(match_problem(50, 0.5))
+    assert torch.equal(choose_nodes(source, target, 0.2, 50), torch.arange(50))
+
+
+def test_chance_explains_the_degrees_of_wrong_matches():
+    source, target = columns(match_problem(3000, 1.0, seed=1))
+    points = (source, target)
+    excess = module._excess(points, points, degrees(source, target, 0.2), 0.2)
+    assert abs(float(excess.mean())) < 0.4
+    assert float(excess.std()) < 1.5
+    # without it, the place in the scene decides
+    plain = degrees(source, target, 0.2)
+    assert float(plain.std() / plain.mean().sqrt()) > 1.5 * float(excess.std())
+
+
+@pytest.mark.parametrize("place", ["cube", "room"])
+def test_inliers_are_among_the_chosen(place):
+    problem = match_problem(5000, 0.98, place=place, noise=0.05, seed=2)
+    chosen = choose_nodes(*columns(problem), 0.2, 500)
+    assert chosen.shape == (500,)
+    assert (chosen.diff() > 0).all()
+    assert problem.is_inlier[chosen].sum() > 0.9 * problem.is_inlier.sum()
+
+
+def test_the_order_of_the_matches_does_not_matter():
+    problem = match_problem(3000, 0.97, noise=0.05)
+    source, target = columns(problem)
+    step = torch.randperm(3000, generator=torch.Generator().manual_seed(0))
+    one = choose_nodes(source, target, 0.2, 400)
+    other = step[choose_nodes(source[:, step].contiguous(), target[:, step].contiguous(), 0.2, 400)]
+    common = torch.isin(one, other).float().mean()
+    assert common > 0.75  # the anchors of the histograms are others
+
+
+def test_neither_threads_nor_tiles_change_the_choice(monkeypatch):
+    source, target = columns(match_problem(1500, 0.95))
+    expected = choose_nodes(source, target, 0.2, 300)
+    for tile in (1 << 16, 1 << 20):
+        monkeypatch.setattr(module, "TILE_ELEMENTS", tile)
+        for number in THREADS:
+            with threads(number):
+                assert same_bits(choose_nodes(source, target, 0.2, 300), expected)
+
+
+def test_coincident_matches_are_no_error():
+    points = torch.ones(3, 100)
+    assert len(choose_nodes(points, points, 0.2, 10)) == 10

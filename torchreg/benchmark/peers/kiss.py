@@ -1,0 +1,82 @@
+"""KISS-Matcher: Faster-PFH, pruning by a graph of consistent matches, and its own solver.
+
+Lim et al., KISS-Matcher: Fast and Robust Point Cloud Registration Revisited, ICRA 2025, arXiv:2409.15615.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchreg.benchmark.peers.method import Answer, Matched, Method, Task, nothing_found, with_origins
+from torchreg.geometry.se3 import rigid
+from torchreg.types import Correspondences
+
+MODULE = "kiss_matcher"
+_LEAST = 50
+"""Points; on a dozen, none of which it can describe, the library ends the process."""
+
+
+def kiss_solve(source: Tensor, target: Tensor, threshold: float) -> Tensor:
+    """The pose (4, 4) float64 that its solver finds from matched points, both of its noise bounds the threshold.
+
+    Args:
+        source: (M, 3), meters.
+        target: (M, 3), row by row the partners.
+        threshold: meters.
+
+    Raises:
+        ImportError: the package is not there.
+    """
+    import kiss_matcher
+
+    config = kiss_matcher.KISSMatcherConfig(voxel_size=threshold, solver_noise_bound_gain=1.0)
+    said = kiss_matcher.KISSMatcher(config).prune_and_solve(_points(source), _points(target))
+    return rigid(*_pose(said))
+
+
+def kiss_register(task: Task) -> Answer:
+    """The whole of it with its defaults at this voxel size; the clouds are means over voxels already."""
+    import kiss_matcher
+
+    if min(len(task.source.points), len(task.target.points)) < _LEAST:
+        return nothing_found()
+    config = kiss_matcher.KISSMatcherConfig(voxel_size=task.voxel, use_voxel_sampling=False)
+    matcher = kiss_matcher.KISSMatcher(config)
+    said = matcher.estimate(_points(task.source.points), _points(task.target.points))
+    matches = _matches(matcher, task)
+    if not said.valid:
+        return nothing_found(matches)
+    return Answer(T_target_source=with_origins(*_pose(said), task), success=True, matches=matches)
+
+
+def _points(points: Tensor) -> list[Any]:
+    return list(points.detach().cpu().numpy().astype(np.float32))
+
+
+def _pose(said: Any) -> tuple[Tensor, Tensor]:  # noqa: ANN401
+    rotation, translation = (torch.from_numpy(np.array(part)).double() for part in (said.rotation, said.translation))
+    return rotation, translation.reshape(3)
+
+
+def _matches(matcher: Any, task: Task) -> Matched:  # noqa: ANN401
+    """Its matches before it prunes them; without sampling of its own, their rows are those of the clouds given."""
+    found = torch.tensor(matcher.get_initial_correspondences(), dtype=torch.int64).reshape(-1, 2)
+    rows = found.t().contiguous()
+    matches = Correspondences(rows[0], rows[1], torch.tensor([0, len(found)]), torch.zeros(len(found)))
+    return Matched(task.source, task.target, matches)
+
+
+KISS = (
+    Method(
+        name="kiss-matcher",
+        title="KISS-Matcher",
+        statement="Its own features, matches and solver with its defaults at this voxel size; no hypotheses.",
+        run=kiss_register,
+        module=MODULE,
+        package="kiss-matcher",
+    ),
+)

@@ -1,5 +1,0 @@
-"""From correspondences to transforms by their agreement with one another: no sample is drawn."""
-
-from torchreg.compatibility.loop import compatibility, compatibility_poses, judged
-
-__all__ = ["compatibility", "compatibility_poses", "judged"]

@@ -1,0 +1,186 @@
+"""Which settings are most likely to help, each from a figure of the run.
+
+A rule looks at one figure and either says what it would change, naming the figure, or says nothing. The reason of a
+failure decides which rules are asked first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from torchreg.report.explain.facts import Facts
+from torchreg.report.explain.verdict import FIRM
+from torchreg.report.explain.words import chance, meters, number, odds, part, percent
+
+if TYPE_CHECKING:
+    from torchreg.types.options import RegistrationOptions
+
+_MOST = 2
+_LIKELY = 0.9
+_FEW_POINTS, _FEW_MATCHES = 500, 200
+_FEW_FEATURES = 0.8  # of the points
+_FEW_INLIERS = 0.05  # of the matches
+_FINE = 0.75  # voxels: a threshold below that is finer than the points
+_LITTLE_OVERLAP = 0.2
+_CLOSE_MARGIN = 3.0  # 20 to 1
+_MUCH_CONFLICT, _POOR_NORMALS, _POOR_COLORS = 0.1, 0.6, 0.2
+
+
+def advice(facts: Facts) -> list[str]:
+    """At most two pieces of advice, the likeliest to help first; none where the pair is registered and likely so."""
+    if facts.success and (facts.probability is None or facts.probability >= _LIKELY):
+        return []
+    known = facts.success or facts.kind in _FIRST
+    rules = dict.fromkeys((*_FIRST.get(facts.kind, ()), *_ANY)) if known else {_points: None}
+    return [said for rule in rules if (said := rule(facts))][:_MOST]
+
+
+def settled(facts: Facts) -> str:
+    """What to say where there is no advice."""
+    if not facts.success:
+        return "no figure above points to one setting" if facts.kind in _FIRST else "other clouds: the reason says why"
+    if facts.probability is None:
+        return 'nothing in the matches; an effort other than "plain" weighs the pose against the clouds as well'
+    return f"nothing needs to change (probability {chance(facts.probability)})"
+
+
+def _points(facts: Facts) -> str:
+    if facts.stages is None or min(facts.stages.points) >= _FEW_POINTS:
+        return ""
+    left, given = min(facts.stages.points), min(facts.stages.given)
+    if facts.options is not None and facts.options.voxel_size is not None and given > 2 * left:
+        return f"a smaller voxel_size (now {meters(facts.options.voxel_size)}): it leaves only {left:,} points"
+    return f"denser clouds: one has only {left:,} points"
+
+
+def _threshold(facts: Facts) -> str:
+    if facts.options is None or facts.options.voxel_size is None or facts.threshold is None:
+        return ""
+    voxel = facts.options.voxel_size
+    if facts.threshold >= _FINE * voxel:
+        return ""
+    wider = f"an inlier_threshold of about {meters(1.5 * voxel)} (now {meters(facts.threshold)})"
+    return f"{wider}: points averaged over voxels of {meters(voxel)} lie farther apart than that"
+
+
+def _features(facts: Facts) -> str:
+    if facts.stages is None or facts.options is None or min(facts.stages.points) == 0:
+        return ""
+    count, whole = min(
+        zip(facts.stages.described, facts.stages.points, strict=True), key=lambda pair: pair[0] / pair[1]
+    )
+    if count >= _FEW_FEATURES * whole:
+        return ""
+    now = meters(facts.options.feature_radius)
+    return f"a larger feature_radius (now {now}): only {part(count, whole)} points have a feature"
+
+
+def _matches(facts: Facts) -> str:
+    most = max((proposal.matches for proposal in facts.stages.proposals), default=0) if facts.stages else facts.matches
+    if most >= _FEW_MATCHES:
+        return ""
+    return f"{_more_matches(facts.options)}: there are only {most:,} matches"
+
+
+def _more_matches(options: RegistrationOptions | None) -> str:
+    if options is None:
+        return "more matches, as of a larger match_neighbors"
+    if options.ratio is not None:
+        return f"ratio=None (now {options.ratio:g})"
+    neighbors = f"a larger match_neighbors (now {options.match_neighbors})"
+    return neighbors if options.effort == "thorough" else f'effort="thorough" (now "{options.effort}"), or {neighbors}'
+
+
+def _hypotheses(facts: Facts) -> str:
+    if facts.drawn == 0 or facts.scored > 0:
+        return ""
+    now = "" if facts.options is None else f" (now {facts.options.ransac.edge_similarity:g})"
+    return f"a lower edge_similarity{now} or a larger inlier_threshold: of {facts.drawn:,} hypotheses none was scored"
+
+
+def _inliers(facts: Facts) -> str:
+    if facts.matches == 0 or facts.inliers >= _FEW_INLIERS * facts.matches or facts.options is None:
+        return ""
+    agree = f"only {part(facts.inliers, facts.matches)} matches agree"
+    if facts.options.effort == "thorough":
+        radius = meters(facts.options.feature_radius)
+        return f"a larger feature_radius (now {radius}), for features that tell more places apart: {agree}"
+    return f'effort="thorough" (now "{facts.options.effort}"), which tries more features and both solvers: {agree}'
+
+
+def _colors(facts: Facts) -> str:
+    note = next((note for note in facts.notes if note.startswith("no colors")), "")
+    if note:
+        return f"clouds with colors, which tell places of the same shape apart ({note.partition(':')[0]})"
+    if facts.options is not None and not facts.options.color:
+        return 'color features, color=("contrast", "pcfh"): geometry alone was matched'
+    return ""
+
+
+def _viewpoint(facts: Facts) -> str:
+    note = next((note for note in facts.notes if note.startswith("no viewpoint")), "")
+    return f"the place of the scanner, as viewpoint: {note.partition(':')[0]}" if note else ""
+
+
+def _context(facts: Facts) -> str:
+    if facts.margin is None or facts.margin >= _CLOSE_MARGIN:
+        return ""
+    if facts.options is None:
+        wider = "a larger feature radius"
+    else:
+        wider = f"a larger feature_radius (now {meters(facts.options.feature_radius)}) or voxel_size"
+    return f"{wider}, which takes in more of the surroundings: the odds over the runner-up are {odds(facts.margin)}"
+
+
+def _overlap(facts: Facts) -> str:
+    if facts.overlap is None or facts.overlap >= _LITTLE_OVERLAP:
+        return ""
+    return f"scans from places nearer to each other, or cut to what both see: they share only {percent(facts.overlap)}"
+
+
+def _strength(facts: Facts) -> str:
+    if facts.strength is None or facts.strength >= FIRM:
+        return ""
+    return f"larger scans, with surfaces across the one along which the pose slides: strength {number(facts.strength)}"
+
+
+def _conflict(facts: Facts) -> str:
+    share = facts.candidates[0].conflict if facts.candidates else 0.0
+    if not share > _MUCH_CONFLICT:
+        return ""
+    return f"a look at the viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
+
+
+def _normals(facts: Facts) -> str:
+    cosine = facts.candidates[0].normals if facts.candidates else 1.0
+    if facts.options is None or not cosine < _POOR_NORMALS:
+        return ""
+    now = meters(facts.options.normal_radius)
+    return f"a larger normal_radius (now {now}): the normals of partners agree by {number(cosine)} only"
+
+
+def _light(facts: Facts) -> str:
+    correlation = facts.candidates[0].colors if facts.candidates else 1.0
+    if not correlation < _POOR_COLORS:
+        return ""
+    return f"color=() where light or cameras differ: the colors of partners correlate by {number(correlation)} only"
+
+
+_Rule = Callable[[Facts], str]
+_ANY: tuple[_Rule, ...] = (
+    *(_points, _threshold, _features, _matches, _hypotheses),
+    *(_overlap, _context, _colors, _viewpoint, _strength, _inliers),
+)
+_FIRST: dict[str, tuple[_Rule, ...]] = {
+    "too few matches": (_features, _matches),
+    "no hypothesis left": (_hypotheses, _matches),
+    "no consensus": (_threshold, _features, _matches, _inliers),
+    "ambiguous": (_colors, _viewpoint, _context),
+    "sliding": (_strength, _overlap),
+    "too little overlap": (_threshold, _overlap),
+    "free-space conflict": (_conflict, _viewpoint),
+    "surfaces disagree": (_normals, _threshold, _viewpoint),
+    "colors disagree": (_light,),
+    "unlikely": (),
+}

@@ -1,0 +1,60 @@
+"""Which correspondences agree with each other about length, and which share the partners that agree.
+
+A rigid motion keeps lengths, so two inliers i, j have
+
+    A_ij = 1  where  | |p_i - p_j| - |q_i - q_j| | < threshold,  i != j
+
+and so have many outliers by chance. The second order counts common partners, A_ij (A A)_ij: two inliers share all
+other inliers, outliers only what chance gives (SC2-PCR: Chen, Sun, Yang and Tao, CVPR 2022,
+doi:10.1109/CVPR52688.2022.01287, Eq. 4 to 6).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.numerics.chunks import row_chunks
+
+TILE_ELEMENTS = 1 << 18
+"""Pairs that are compared at once: 1 MB of float32 each temporary."""
+
+
+def agreeing(source: Tensor, target: Tensor, others: tuple[Tensor, Tensor], threshold: float, spare: Tensor) -> Tensor:
+    """(R, C) zeros and ones: correspondences (3, R) twice against ``others``, (3, C) twice, elementwise.
+
+    ``spare`` (3, R C or more) is memory to work in; the result is part of it.
+    """
+    one, other, between = (row[: source.shape[1] * others[0].shape[1]].view(source.shape[1], -1) for row in spare)
+    lengths(source, others[0], one, between)
+    lengths(target, others[1], other, between)
+    agree: Tensor = one.sub_(other).abs_().lt_(threshold)
+    return agree
+
+
+def lengths(points: Tensor, others: Tensor, out: Tensor, between: Tensor) -> Tensor:
+    """Distances (R, C) of points (3, R) and others (3, C), into ``out``; ``between`` is memory of the same shape."""
+    torch.sub(points[0, :, None], others[0], out=between)
+    torch.mul(between, between, out=out)
+    for i in (1, 2):
+        torch.sub(points[i, :, None], others[i], out=between)
+        out.addcmul_(between, between)
+    return out.sqrt_()
+
+
+def first_order(source: Tensor, target: Tensor, threshold: float) -> Tensor:
+    """A (N, N) float32 of zeros and ones of correspondences (3, N) twice, the diagonal zero."""
+    count = source.shape[1]
+    graph = torch.empty(count, count, dtype=torch.float32, device=source.device)
+    spare = source.new_empty(3, min(count * count, max(count, TILE_ELEMENTS)))
+    for rows in row_chunks(count, count, TILE_ELEMENTS):
+        graph[rows] = agreeing(source[:, rows], target[:, rows], (source, target), threshold, spare)
+    return graph.fill_diagonal_(0)
+
+
+def second_order(graph: Tensor) -> Tensor:
+    """Common partners of those that agree, (..., N, N) float32.
+
+    Zeros and ones and their counts are whole numbers, so the product is exact in any order of addition.
+    """
+    return (graph @ graph).mul_(graph)

@@ -1,0 +1,117 @@
+"""Consensus sets: around every correspondence those that share the most partners with it, and their transform.
+
+Two narrowings, as SC2-PCR has them: the nearest by second-order agreement over all nodes, then, counted inside the
+set alone, those nearest again. The weights of the fit are the leading eigenvector of the set's second order, by a few
+power iterations; started from ones and left unscaled, they are whole numbers below 2^53, exact in float64.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.kabsch import from_moments
+from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.solvers.compatibility.graph import second_order
+
+_ITERATIONS = 4
+_MIN_SINE = 0.05  # as of a minimal sample: spread across the main direction, of the spread along it
+_PLACES = 1 << 12  # more than there are nodes; twice as many nodes' counts stay whole in float32
+
+
+def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tensor]:
+    """The sets of all nodes.
+
+    Args:
+        graph: A (N, N) float32, N at most 4,095.
+        wide: partners of a seed in its first set.
+        narrow: members, the seed counted, that are left of it.
+
+    Returns:
+        members (N, narrow') int64, the seed first, and weights (N, narrow') float64, zero for no member.
+    """
+    count = len(graph)
+    shared = second_order(graph).fill_diagonal_(-1)  # no node is its own partner, not even for lack of others
+    partners = _largest(shared, min(wide, count - 1))  # (N, wide)
+    seeds = torch.arange(count, device=graph.device)
+    members = torch.cat([seeds[:, None], partners], dim=1)  # (N, 1 + wide)
+    inside = _subgraphs(graph, members)
+    within = (inside[:, :1] @ inside)[:, 0] * inside[:, 0]  # the seed's row of the second order
+    within[:, 0] = -1  # the seed stands first in any case
+    nearest = _largest(within, min(narrow, members.shape[1]) - 1)
+    kept = torch.cat([torch.zeros_like(nearest[:, :1]), nearest], dim=1)  # (N, narrow)
+    inside = inside.gather(1, kept[:, :, None].expand(-1, -1, inside.shape[2])).gather(
+        2, kept[:, None].expand(-1, kept.shape[1], -1)
+    )
+    return members.gather(1, kept), _leading(second_order(inside).double())
+
+
+def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Weighted least squares of every set, sums in the order of the members.
+
+    Args:
+        source: (3, N) float64, meters.
+        target: (3, N) float64.
+        members: (S, K).
+        weights: (S, K) float64.
+
+    Returns:
+        Rotations (3, 3, S), translations (3, S), and which sets (S,) fix the rotation: spread across a line.
+    """
+    parts = [
+        _fit(source, target, members[rows].t(), weights[rows].t().contiguous())
+        for rows in row_chunks(len(members), 9 * members.shape[1])
+    ]
+    none = (source.new_zeros(3, 3, 0), source.new_zeros(3, 0), weights.new_zeros(0, dtype=torch.bool))
+    rotation, translation, fixed = (torch.cat(part, dim=-1) for part in zip(none, *parts, strict=True))
+    return rotation, translation, fixed
+
+
+def _fit(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """``fit_sets`` of members and weights (K, S)."""
+    total = _sum(weights)
+    share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
+    p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
+    mean_p, mean_q = _sum(p * share), _sum(q * share)  # (3, S)
+    p, q = p - mean_p[:, None], q - mean_q[:, None]
+    weighted = p * share
+    covariance = _sum(weighted[:, None] * q[None])  # (3, 3, S)
+    T = from_moments(mean_p.t(), mean_q.t(), covariance.permute(2, 0, 1))
+    broad = _spans_plane(_sum(weighted[:, None] * p[None])) & _spans_plane(_sum((q * share)[:, None] * q[None]))
+    return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t(), broad & (total > 0)
+
+
+def _largest(counts: Tensor, number: int) -> Tensor:
+    """Columns of the ``number`` largest of every row, ties to the earlier one."""
+    column = torch.arange(counts.shape[1], dtype=counts.dtype, device=counts.device)
+    return (counts * _PLACES - column).topk(number, dim=1).indices
+
+
+def _subgraphs(graph: Tensor, members: Tensor) -> Tensor:
+    places = members[:, :, None] * len(graph) + members[:, None, :]  # (N, K, K)
+    return graph.flatten().index_select(0, places.flatten()).view(places.shape)
+
+
+def _leading(agreement: Tensor) -> Tensor:
+    """Unscaled leading eigenvectors (N, K) of whole numbers (N, K, K); a row of zeros stays zero."""
+    vector = agreement.sum(dim=2)
+    for _ in range(_ITERATIONS - 1):
+        vector = (agreement @ vector[..., None])[..., 0]
+    return vector
+
+
+def _spans_plane(covariance: Tensor) -> Tensor:
+    """(S,) bool of covariances (3, 3, S): the second principal spread is not small beside the first."""
+    xx, yy, zz = (covariance[i, i] for i in range(3))
+    xy, xz, yz = covariance[0, 1], covariance[0, 2], covariance[1, 2]
+    trace = xx + yy + zz
+    minors = (xx * yy - xy * xy) + (xx * zz - xz * xz) + (yy * zz - yz * yz)  # the products of two spreads each
+    return minors > _MIN_SINE * _MIN_SINE * trace * trace
+
+
+def _sum(values: Tensor) -> Tensor:
+    """Over the last dimension but one, one after another."""
+    total = torch.zeros_like(values[..., 0, :])
+    for row in values.unbind(dim=-2):
+        total += row
+    return total

@@ -1,0 +1,69 @@
+"""Where loose things stand in a simulated place, and in which of the two scans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene.quads import Quads
+
+# For each place that a piece takes, the scans that find it there.
+FIXED, MOVED, ONLY_SOURCE, ONLY_TARGET = ((0, 1),), ((0,), (1,)), ((0,),), ((1,),)
+
+Contents = tuple[list[Quads], list[Quads]]
+DrawPlaces = Callable[[float, np.random.Generator], Array]
+
+_CLEARANCE = 0.8  # meters around a tripod
+
+
+class Kind(NamedTuple):
+    """Pieces of one kind."""
+
+    make: Callable[[np.random.Generator], Quads]
+    radius: float  # meters that it takes around its middle
+    number: int
+    places: tuple[tuple[int, ...], ...]
+
+
+def scatter(
+    kinds: Sequence[Kind], draw_places: DrawPlaces, taken: Array, stations: Sequence[Array], rng: np.random.Generator
+) -> Contents:
+    """The pieces that the source scan and the target scan see.
+
+    Args:
+        kinds: what to place, and how many of each.
+        draw_places: random places (N, 2) for a piece of a radius in meters; the first that is free is taken.
+        taken: (M, 3), x, y and radius of what already stands there.
+        stations: poses (4, 4) of the scanners; what would stand right beside one is left out of both scans.
+        rng: the same draws wherever the stations are.
+    """
+    contents: Contents = ([], [])
+    for kind in kinds:
+        for _ in range(kind.number):
+            piece = kind.make(rng)
+            for seen_by in kind.places:
+                yaw = 0.5 * math.pi * rng.integers(4) + rng.uniform(-0.2, 0.2)
+                spot = _first_free(draw_places(kind.radius, rng), taken, kind.radius)
+                if spot is None:
+                    continue
+                taken = np.vstack((taken, (*spot, kind.radius)))
+                if clear_of(stations, spot, kind.radius):
+                    for k in seen_by:
+                        contents[k].append(piece.placed(spot[0], spot[1], yaw=yaw))
+    return contents
+
+
+def clear_of(stations: Sequence[Array], spot: Array, radius: float) -> bool:
+    """Whether a piece of this radius (meters) at ``spot`` (2,) leaves room for the tripods at ``stations``."""
+    return all(math.dist(pose[:2, 3], spot) > radius + _CLEARANCE for pose in stations)
+
+
+def _first_free(places: Array, taken: Array, radius: float) -> Array | None:
+    """The first of the places (N, 2) that keeps clear of all that is ``taken``."""
+    apart = np.linalg.norm(places[:, None] - taken[:, :2], axis=2)  # (N, M)
+    free = np.flatnonzero((apart > taken[:, 2] + radius).all(axis=1))
+    return np.asarray(places[free[0]]) if len(free) else None

@@ -1,0 +1,152 @@
+"""Light on surfaces, and the camera that turns it into 8-bit colors.
+
+Irradiance is the sum of an even ambient part, of lamps, of a window to the sky in the ceiling, of the open sky, and
+of the sun.
+Its unit is arbitrary: 1 is a well-lit floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from torchreg.synthetic.scene.arrays import Array
+
+DISPLAY_GAMMA = 2.2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Light:
+    """All light of a scene at one moment. Colors are linear RGB; a source left out is not there.
+
+    Attributes:
+        ambient: (3,) light from all sides, after many reflections.
+        sun_direction: (3,) unit vector from the scene to the sun.
+        sun: (3,) irradiance of a surface that faces the sun.
+        lamps: (M, 3) meters, in the frame of the scene.
+        lamp_power: (M, 3) irradiance at one meter under the lamp.
+        sky_center: (3,) meters, the middle of the skylight.
+        sky_power: (3,) irradiance at one meter under it, were it a point.
+        dome: (3,) irradiance of level ground under the open sky, which is equally bright in all directions.
+    """
+
+    ambient: Array
+    sun_direction: Array
+    sun: Array
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    sky_center: Array = field(default_factory=lambda: np.zeros(3))
+    sky_power: Array = field(default_factory=lambda: np.zeros(3))
+    dome: Array = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """What one scan's camera does to the light that reaches it.
+
+    Attributes:
+        gain: from radiance to the range [0, 1] of the sensor.
+        white_balance: (3,) factor on each channel.
+        gamma: the colors are the signal to the power of ``1 / gamma``.
+        noise: standard deviation in the colors, of the range [0, 1].
+    """
+
+    gain: float
+    white_balance: Array
+    gamma: float = DISPLAY_GAMMA
+    noise: float = 0.012
+
+
+class Sight(Protocol):
+    """What stands in the way of light."""
+
+    def reaches(self, points: Array, goals: Array) -> Array:
+        """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
+
+    def escapes(self, points: Array, way: Array) -> Array:
+        """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
+
+
+def irradiance(points: Array, normals: Array, light: Light, sight: Sight) -> Array:
+    """The light that falls on surfaces; the sun, both skies and the strongest lamp at each point cast shadows.
+
+    Args:
+        points: (P, 3) meters, in the frame of the scene.
+        normals: (P, 3) of unit length, on the visible side.
+        light: the lamps, the sky and the sun.
+        sight: the scene, for the shadows.
+
+    Returns:
+        (P, 3) float64, linear RGB.
+    """
+    # Floors and what faces the lamps pass light on upwards; walls get the mean.
+    total = light.ambient * (1 + 0.15 * normals[:, 2:])
+    if len(light.lamps):
+        _add_lamps(total, points, normals, light, sight)
+    if light.sky_power.any():
+        sky = _from_above(points, normals, light.sky_center) * sight.reaches(points, light.sky_center)
+        total += sky[:, None] * light.sky_power
+    if light.dome.any():
+        total += _open_sky(points, normals, sight)[:, None] * light.dome
+    sun = np.clip(normals @ light.sun_direction, 0, 1) * sight.escapes(points, light.sun_direction)
+    return np.asarray(total + sun[:, None] * light.sun)
+
+
+def develop(radiance: Array, camera: Camera, rng: np.random.Generator) -> Array:
+    """The colors (P, 3) uint8 that a camera records of the radiance (P, 3)."""
+    signal = camera.gain * camera.white_balance * radiance
+    signal = np.where(signal > 0.7, 0.7 + 0.3 * np.tanh((signal - 0.7) / 0.6), signal)  # bright parts bleach
+    colors = np.clip(signal, 0, 1) ** (1 / camera.gamma)
+    colors += camera.noise * rng.standard_normal(colors.shape)
+    return np.asarray(np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8))
+
+
+def linear(color: Array) -> Array:
+    """Linear RGB of sRGB colors in [0, 1], by the plain power law."""
+    return np.asarray(color**DISPLAY_GAMMA)
+
+
+def _add_lamps(total: Array, points: Array, normals: Array, light: Light, sight: Sight) -> None:
+    brightness = light.lamp_power.mean(axis=1)
+    strongest, which = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
+    for k, (position, power) in enumerate(zip(light.lamps, light.lamp_power, strict=True)):
+        share = _from_above(points, normals, position)
+        total += share[:, None] * power
+        which[share * brightness[k] > strongest] = k
+        np.maximum(strongest, share * brightness[k], out=strongest)
+    shaded = ~sight.reaches(points, light.lamps[which])
+    total -= (0.8 * shaded * strongest / brightness[which])[:, None] * light.lamp_power[which]
+
+
+def _from_above(points: Array, normals: Array, position: Array) -> Array:
+    """Light from a panel that faces down, (P,): inverse square, and the cosine at both ends.
+
+    A panel has a size, so that nothing near it is infinitely bright.
+    """
+    way = position - points
+    square = np.einsum("pi,pi->p", way, way)
+    facing, sent = np.clip(np.einsum("pi,pi->p", way, normals), 0, None), np.clip(way[:, 2], 0, None)
+    return np.asarray(facing * sent / (square * (square + 0.3)))
+
+
+def _open_sky(points: Array, normals: Array, sight: Sight) -> Array:
+    """The part of an even sky's light that reaches surfaces, (P,); 1 on level ground in the open."""
+    total = np.zeros(len(points))
+    for way in _SKY_WAYS:
+        facing = normals @ way
+        rows = np.flatnonzero(facing > 0)
+        total[rows] += facing[rows] * sight.escapes(points[rows], way)
+    return np.asarray(total / _SKY_WAYS[:, 2].sum())
+
+
+def _spread_over_sky(count: int) -> Array:
+    """Unit vectors (count, 3) spread evenly over the upper hemisphere, on a golden spiral."""
+    height = (np.arange(count) + 0.5) / count
+    around = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    flat = np.sqrt(1 - height**2)
+    return np.stack((flat * np.cos(around), flat * np.sin(around), height), axis=1)
+
+
+_SKY_WAYS = _spread_over_sky(14)

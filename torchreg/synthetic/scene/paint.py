@@ -1,0 +1,224 @@
+"""What surfaces look like: a color pattern laid over the texture coordinates of each quad.
+
+Texture coordinates are meters on the surface, (0, 0) in the middle of a quad. A pattern needs no image: which
+color one of its cells has follows from an integer hash of the cell and of the surface's key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene.palette import from_hsv
+
+PLAIN, TILES, PANELS, STRIPES, PLANKS, LETTERS, GOODS, POSTER, BRICKS, PATCHES = range(10)
+
+
+@dataclass(frozen=True, eq=False)
+class Paint:
+    """The look of ``Q`` surfaces, one row each.
+
+    Attributes:
+        pattern: (Q,) int64, one of the patterns of this module.
+        color: (Q, 3) sRGB in [0, 1], the color of most of the surface.
+        accent: (Q, 3) sRGB in [0, 1], the second color of the pattern.
+        scale: (Q,) meters, the size of a tile, letter, plank, good or block.
+        glow: (Q,) light the surface sends out itself, 1 being the illuminance of a well-lit floor.
+        key: (Q,) int64, tells surfaces of equal pattern apart.
+    """
+
+    pattern: Array
+    color: Array
+    accent: Array
+    scale: Array
+    glow: Array
+    key: Array
+
+    def __len__(self) -> int:
+        """The number of surfaces."""
+        return len(self.pattern)
+
+    def take(self, index: Array) -> Paint:
+        """The rows ``index`` (P,) of this paint."""
+        return Paint(
+            self.pattern[index],
+            self.color[index],
+            self.accent[index],
+            self.scale[index],
+            self.glow[index],
+            self.key[index],
+        )
+
+    @staticmethod
+    def join(parts: Sequence[Paint]) -> Paint:
+        """The rows of all parts, one after another."""
+        return Paint(
+            np.concatenate([part.pattern for part in parts]),
+            np.concatenate([part.color for part in parts]),
+            np.concatenate([part.accent for part in parts]),
+            np.concatenate([part.scale for part in parts]),
+            np.concatenate([part.glow for part in parts]),
+            np.concatenate([part.key for part in parts]),
+        )
+
+
+def paint(
+    rng: np.random.Generator,
+    color: npt.ArrayLike,
+    accent: npt.ArrayLike | None = None,
+    *,
+    count: int | None = None,
+    pattern: int = PLAIN,
+    scale: float = 0.5,
+    glow: float = 0.0,
+) -> Paint:
+    """Paint for ``count`` surfaces, each with a key of its own.
+
+    Args:
+        rng: draws the keys.
+        color: sRGB, (3,) for all surfaces or (Q, 3).
+        accent: the pattern's second color, as ``color``; ``None`` is a darker shade of it.
+        count: how many surfaces, ``Q``; ``None`` is the number of rows of ``color``.
+        pattern, scale, glow: of all surfaces, see ``Paint``.
+    """
+    color = np.atleast_2d(np.asarray(color, dtype=np.float64))
+    count = len(color) if count is None else count
+    accent = 0.85 * color if accent is None else np.asarray(accent, dtype=np.float64)
+    return Paint(
+        pattern=np.full(count, pattern),
+        color=np.broadcast_to(color, (count, 3)),
+        accent=np.broadcast_to(accent, (count, 3)),
+        scale=np.full(count, scale),
+        glow=np.full(count, glow),
+        key=rng.integers(1 << 30, size=count),
+    )
+
+
+def albedo(look: Paint, uv: Array) -> Array:
+    """The color of surfaces at points on them.
+
+    Args:
+        look: ``P`` rows, the paint at each point.
+        uv: (P, 2) meters, where on its surface each point lies.
+
+    Returns:
+        (P, 3) float64, sRGB in [0, 1].
+    """
+    color = look.color.copy()
+    for pattern, draw in _PATTERNS.items():
+        rows = np.flatnonzero(look.pattern == pattern)
+        if len(rows):
+            color[rows] = draw(look.take(rows), uv[rows])
+    # No real surface is of one color: stains as wide as a step, and grain.
+    u, v = uv[:, 0], uv[:, 1]
+    phase = look.key % 628 / 100
+    stain = 0.03 * np.sin(1.7 * u + phase) * np.sin(2.3 * v + 2 * phase)
+    grain = 0.04 * (_hash(_cell(u, 0.02), _cell(v, 0.02), look.key) - 0.5)
+    return np.clip(color * (1 + stain + grain)[:, None], 0, 1)
+
+
+def _cell(x: Array, size: Array | float) -> Array:
+    return np.floor(x / size).astype(np.int64)
+
+
+def _hash(i: Array, j: Array, key: Array) -> Array:
+    """Numbers in [0, 1) that look random, (P,), from a cell's two indices and a key."""
+    word = (i * 0x9E3779B1 ^ j * 0x85EBCA77 ^ key * 0xC2B2AE3D).astype(np.uint32)
+    word = (word ^ word >> 15) * np.uint32(0x2C1B3C6D)
+    word = (word ^ word >> 12) * np.uint32(0x297A2D39)
+    return np.asarray((word ^ word >> 15) / 2.0**32)
+
+
+def _choose(where: Array, yes: Array, no: Array) -> Array:
+    return np.asarray(np.where(where[:, None], yes, no))
+
+
+def _tiles(look: Paint, uv: Array) -> Array:
+    i, j = _cell(uv[:, 0], look.scale), _cell(uv[:, 1], look.scale)
+    tile = _choose((i + j) % 2 == 0, look.color, look.accent) * (0.94 + 0.12 * _hash(i, j, look.key))[:, None]
+    return _choose(_on_joint(look, uv, 0.008), 0.5 * look.color, tile)
+
+
+def _panels(look: Paint, uv: Array) -> Array:
+    return _choose(_on_joint(look, uv, 0.015), look.accent, look.color)
+
+
+def _on_joint(look: Paint, uv: Array, width: float) -> Array:
+    return np.asarray((uv % look.scale[:, None] < width).any(axis=1))
+
+
+def _stripes(look: Paint, uv: Array) -> Array:
+    return _choose(_cell(uv[:, 1], look.scale) % 2 == 0, look.color, look.accent)
+
+
+def _planks(look: Paint, uv: Array) -> Array:
+    plank = _cell(uv[:, 1], look.scale)
+    shift = 5 * look.scale * _hash(plank, plank, look.key)
+    tone = 0.75 + 0.4 * _hash(_cell(uv[:, 0] + shift, 9 * look.scale), plank, look.key)
+    return np.asarray(look.color * tone[:, None])
+
+
+def _letters(look: Paint, uv: Array) -> Array:
+    """One line of letters along the middle; each is a random 3 x 5 bitmap with a gap behind it."""
+    dot = look.scale / 5
+    i, j = _cell(uv[:, 0], dot), _cell(uv[:, 1] + look.scale / 2, dot)
+    inked = (i % 4 < 3) & (j >= 0) & (j < 5) & (_hash(i, j, look.key) < 0.65)
+    return _choose(inked, look.accent, look.color)
+
+
+def _goods(look: Paint, uv: Array) -> Array:
+    """Packages side by side, each of its own color with a paler label."""
+    size = np.stack((look.scale, 1.4 * look.scale), axis=1)
+    i, j = _cell(uv[:, 0], size[:, 0]), _cell(uv[:, 1], size[:, 1])
+    hue, saturation, value = (_hash(i, j, look.key + shift) for shift in (1, 2, 3))
+    package = from_hsv(hue, 0.9 * saturation, 0.3 + 0.65 * value)
+    label = (np.abs(uv / size % 1 - 0.5) < 0.25).all(axis=1)
+    return _choose(label, 0.5 + 0.5 * package, package)
+
+
+def _poster(look: Paint, uv: Array) -> Array:
+    """Blocks of four tones with soft shading, as a large photograph has them from far."""
+    i, j = _cell(uv[:, 0] + 0.4 * uv[:, 1], look.scale), _cell(uv[:, 1], 0.7 * look.scale)
+    which = (4 * _hash(i, j, look.key)).astype(np.int64)
+    tones = (look.color, look.accent, 0.5 * look.color, 0.5 + 0.5 * look.accent)
+    block = np.stack(tones, axis=1)[np.arange(len(which)), which]  # (P, 3)
+    return np.asarray(block * (0.75 + 0.25 * (uv[:, :1] / look.scale[:, None] % 1)))
+
+
+def _bricks(look: Paint, uv: Array) -> Array:
+    """Courses of bricks three times as long as high, each of its own tone, with joints of the accent."""
+    course = _cell(uv[:, 1], look.scale)
+    u = uv[:, 0] + 1.5 * look.scale * (course % 2)
+    tone = 0.85 + 0.3 * _hash(_cell(u, 3 * look.scale), course, look.key)
+    joint = (u % (3 * look.scale) < 0.012) | (uv[:, 1] % look.scale < 0.012)
+    return _choose(joint, look.accent, look.color * tone[:, None])
+
+
+def _patches(look: Paint, uv: Array) -> Array:
+    """Both colors run into each other in patches of several sizes, as in a lawn or in worn asphalt."""
+    weight = np.zeros(len(uv))
+    for octave, share in enumerate((0.5, 0.3, 0.2)):
+        size = look.scale / 2**octave
+        x, y = uv[:, 0] / size, uv[:, 1] / size
+        i, j = _cell(x, 1.0), _cell(y, 1.0)
+        s, t = (3 * r**2 - 2 * r**3 for r in (x - i, y - j))
+        near, far = ((1 - s) * _hash(i, j + k, look.key) + s * _hash(i + 1, j + k, look.key) for k in (0, 1))
+        weight += share * ((1 - t) * near + t * far)
+    return np.asarray(look.color + weight[:, None] * (look.accent - look.color))
+
+
+_PATTERNS = {
+    TILES: _tiles,
+    PANELS: _panels,
+    STRIPES: _stripes,
+    PLANKS: _planks,
+    LETTERS: _letters,
+    GOODS: _goods,
+    POSTER: _poster,
+    BRICKS: _bricks,
+    PATCHES: _patches,
+}

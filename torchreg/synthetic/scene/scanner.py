@@ -1,0 +1,159 @@
+"""A terrestrial laser scanner on a tripod: one colored scan of a scene, in the scanner's own frame.
+
+Rays leave at equal steps of azimuth and elevation. What comes back depends on how dark, how far and how
+slanted the surface is; the range carries noise along the ray; a few rays at depth edges hit two surfaces at once
+and return a point between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene.light import Camera, Light, develop, irradiance, linear
+from torchreg.synthetic.scene.paint import albedo
+from torchreg.synthetic.scene.quads import Quads, yaw_rotation
+from torchreg.synthetic.scene.raycast import Raycaster
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scanner:
+    """What a scanner can do.
+
+    Attributes:
+        angular_step: degrees between neighboring rays, in azimuth and in elevation.
+        lowest, highest: degrees of elevation; below is the blind cone with the tripod in it.
+        min_range, max_range: meters.
+        sensitivity: 1 finds gray walls that face it up to some 40 m away; four times as much, twice as far.
+        range_noise: meters, standard deviation on a surface 10 m away that faces the scanner.
+        mixed_share: how many of the rays at a depth edge return a point between both surfaces.
+        depth_edge: meters between neighboring rays from which on they count as a depth edge.
+    """
+
+    angular_step: float
+    lowest: float = -60.0
+    highest: float = 90.0
+    min_range: float = 0.6
+    max_range: float = 60.0
+    sensitivity: float = 1.0
+    range_noise: float = 0.004
+    mixed_share: float = 0.15
+    depth_edge: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """``P`` returned points, by elevation from below and then by azimuth.
+
+    Attributes:
+        points: (P, 3) float64, meters, in the scanner's frame.
+        colors: (P, 3) uint8.
+    """
+
+    points: Array
+    colors: Array
+
+
+def scan(
+    quads: Quads,
+    light: Light,
+    camera: Camera,
+    T_world_scanner: Array,
+    scanner: Scanner,
+    seed: tuple[int, ...],
+) -> Scan:
+    """Scan a scene from one station.
+
+    Args:
+        quads: the scene, meters, in the frame of the world.
+        light: the light of the scene.
+        camera: the scanner's camera.
+        T_world_scanner: (4, 4) float64, the pose of the scanner.
+        scanner: its abilities.
+        seed: of all noise; how large the noise is does not change which draws are made.
+
+    Returns:
+        The points that came back.
+    """
+    rng = np.random.default_rng(seed)
+    caster = Raycaster(quads)
+    directions = ray_directions(scanner)  # (E, A, 3)
+    grid = directions.shape[:2]
+    rays = directions.reshape(-1, 3)
+    ways = rays @ T_world_scanner[:3, :3].T
+    station = T_world_scanner[:3, 3]
+    reach, quad, uv, normals = caster.cast(station, ways)
+    hit = np.isfinite(reach)
+    reach = np.where(hit, reach, 0.0)
+
+    cosine = -(normals * ways).sum(axis=1)
+    normals = np.where(cosine[:, None] < 0, -normals, normals)
+    cosine = np.abs(cosine)
+    places = station + reach[:, None] * ways + 2e-3 * normals
+    look = quads.paint.take(quad)
+    surface = linear(albedo(look, uv))
+    radiance = surface * (irradiance(places, normals, light, caster) + look.glow[:, None])
+
+    came_back = hit & _strong_enough(scanner.sensitivity * (0.15 + surface.mean(axis=1)) * cosine, reach, rng)
+    came_back &= (reach >= scanner.min_range) & (reach <= scanner.max_range)
+    ranges, radiance = _mix_at_edges(reach, radiance, came_back, grid, scanner, rng)
+    slant = 1 / np.sqrt(np.clip(cosine, 0.1, 1))
+    deviation = scanner.range_noise * (0.4 + 0.06 * reach) * slant
+    ranges = ranges + deviation * rng.standard_normal(len(ranges))
+    colors = develop(radiance, camera, rng)
+    return Scan(ranges[came_back, None] * rays[came_back], colors[came_back])
+
+
+def ray_directions(scanner: Scanner) -> Array:
+    """Unit vectors (E, A, 3) in the scanner's frame: rows of elevation from below, columns of azimuth."""
+    azimuth = np.deg2rad(np.arange(0.0, 360.0 - 1e-9, scanner.angular_step))
+    elevation = np.arange(scanner.lowest, scanner.highest + 1e-9, scanner.angular_step)
+    elevation = np.deg2rad(elevation)[:, None]
+    flat = np.cos(elevation)
+    up = np.broadcast_to(np.sin(elevation), (len(elevation), len(azimuth)))
+    return np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), up), axis=-1)
+
+
+def pose(position: Array, yaw: float, tilt: float, tilt_heading: float) -> Array:
+    """``T_world_scanner`` (4, 4): turned by ``yaw`` about the plumb line, then tilted.
+
+    Args:
+        position: (3,) meters.
+        yaw: radians.
+        tilt: radians between the scanner's axis and the plumb line.
+        tilt_heading: radians, the azimuth towards which the axis leans.
+    """
+    heading = yaw_rotation(np.array([tilt_heading]))[0]
+    cosine, sine = np.cos(tilt), np.sin(tilt)
+    lean = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+    T_world_scanner = np.eye(4)
+    T_world_scanner[:3, :3] = heading @ lean @ heading.T @ yaw_rotation(np.array([yaw]))[0]
+    T_world_scanner[:3, 3] = position
+    return T_world_scanner
+
+
+def _strong_enough(returned: Array, reach: Array, rng: np.random.Generator) -> Array:
+    """Whether enough light comes back, (P,) bool: little does from far, dark and slanted surfaces."""
+    strength = returned * (20 / np.clip(reach, 5, None)) ** 2
+    threshold = 0.05 * np.exp(0.5 * rng.standard_normal(len(reach)))
+    return np.asarray((strength > threshold) & (rng.random(len(reach)) > 0.005))
+
+
+def _mix_at_edges(
+    reach: Array,
+    radiance: Array,
+    came_back: Array,
+    grid: tuple[int, ...],
+    scanner: Scanner,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Blend a share of the rays with their neighbor in azimuth, where the two differ in depth."""
+    beside = np.roll(np.arange(len(reach)).reshape(grid), -1, axis=1).ravel()
+    both = came_back & came_back[beside]
+    edge = both & (np.abs(reach[beside] - reach) > scanner.depth_edge)
+    chosen = edge & (rng.random(len(reach)) < scanner.mixed_share)
+    weight = np.where(chosen, rng.random(len(reach)), 0.0)
+    ranges = reach + weight * (reach[beside] - reach)
+    return ranges, radiance + weight[:, None] * (radiance[beside] - radiance)

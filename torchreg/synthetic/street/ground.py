@@ -1,0 +1,118 @@
+"""The ground: asphalt with markings, kerbs, pavements, and lawns that are not quite flat."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene.paint import PATCHES, TILES, paint
+from torchreg.synthetic.scene.palette import from_hsv, neutral
+from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles
+from torchreg.synthetic.street.plan import LEVEL, SIDES, StreetPlan
+
+_BEYOND = 60.0  # meters that the ground goes on behind the ends of the plan
+_CELL = 1.0  # meters, of the lawn's height field
+
+
+def ground(plan: StreetPlan, rng: np.random.Generator) -> Quads:
+    """All that one walks and drives on."""
+    parts = [_roadway(plan, rng), _markings(plan, rng), _covers(plan, rng)]
+    for side in SIDES:
+        parts += [_pavement(plan, side, rng), _lawn(plan, side, rng)]
+    return Quads.join(parts)
+
+
+def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
+    """Asphalt as far as one sees, patched here and there; parking lanes are paved."""
+    gray = neutral(rng, 0.3, 0.42)
+    asphalt = paint(rng, gray, 0.8 * gray, pattern=PATCHES, scale=2.5)
+    reach = plan.length + 2 * _BEYOND
+    count = int(rng.integers(3, 7))
+    spots = rng.uniform((-30, -0.35 * plan.width), (30, 0.35 * plan.width), (count, 2))
+    mended = paint(rng, rng.uniform(0.6, 0.85, (count, 1)) * gray)
+    edge_u, edge_v = np.zeros((2, count, 3))
+    edge_u[:, 0], edge_v[:, 1] = rng.uniform(1, 5, count), rng.uniform(0.6, 1.6, count)
+    parts = [
+        rectangles((0, 0, 0), (reach, 0, 0), (0, reach, 0), asphalt),
+        rectangles(np.column_stack((spots, np.full(count, 0.003))), edge_u, edge_v, mended),
+    ]
+    for side in SIDES:
+        if plan.parking[side > 0]:
+            stone = _stone(rng)
+            paving = paint(rng, stone, 0.85 * stone, pattern=TILES, scale=0.2)
+            across = plan.kerb(side) - plan.width / 2
+            parts.append(
+                rectangles((0, side * plan.lane, 0.002), (plan.length, 0, 0), (0, across, 0), paving),
+            )
+    return Quads.join(parts)
+
+
+def _markings(plan: StreetPlan, rng: np.random.Generator) -> Quads:
+    """A broken line along the middle, the zebra crossing, and lines between parking places."""
+    white, height = rng.uniform(0.75, 0.9) * np.ones(3), 0.006
+    x = np.arange(-plan.length / 2, plan.length / 2, 6.0)
+    x = x[np.abs(x - plan.crossing) > 4]
+    stripe = np.arange(0.5 - plan.width / 2, plan.width / 2 - 0.2, 1.0)
+    parts = [
+        rectangles(_flat(x, 0.0, height), (3, 0, 0), (0, 0.12, 0), paint(rng, white, count=len(x))),
+        rectangles(_flat(plan.crossing, stripe, height), (3, 0, 0), (0, 0.5, 0), paint(rng, white, count=len(stripe))),
+    ]
+    for side in SIDES:
+        if plan.parking[side > 0]:
+            between = plan.slots - plan.slot / 2
+            place = _flat(between, side * plan.lane, height)
+            parts.append(rectangles(place, (0.1, 0, 0), (0, 2.0, 0), paint(rng, white, count=len(place))))
+    return Quads.join(parts)
+
+
+def _covers(plan: StreetPlan, rng: np.random.Generator) -> Quads:
+    """Round covers of manholes."""
+    count = 4
+    place = np.pad(rng.uniform((-25, -0.3 * plan.width), (25, 0.3 * plan.width), (count, 2)), ((0, 0), (0, 1)))
+    return cylinders(place, 0.32, 0.01, paint(rng, (0.2, 0.19, 0.18), count=count), sides=20)
+
+
+def _pavement(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
+    """Slabs behind a kerb of stones."""
+    kerb, width, edge = plan.kerb(side), plan.pavement[side > 0], 0.15
+    stone = neutral(rng, 0.5, 0.7)
+    x = np.arange(-plan.length / 2 + 0.5, plan.length / 2, 1.0)
+    tones = rng.uniform(0.9, 1.1, (len(x), 1)) * stone
+    slab = _stone(rng)
+    slabs = paint(rng, slab, 0.9 * slab, pattern=TILES, scale=rng.uniform(0.3, 0.5))
+    middle = side * (kerb + (width + edge) / 2)
+    return Quads.join(
+        [
+            boxes(_flat(x, side * (kerb + edge / 2), LEVEL / 2), (0.99, edge, LEVEL), paint(rng, tones)),
+            rectangles((0, middle, LEVEL - 0.005), (plan.length, 0, 0), (0, width - edge, 0), slabs),
+        ]
+    )
+
+
+def _lawn(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
+    """Grass in shades of green and straw on a gently uneven height field."""
+    near, far = plan.lawn_from(side), plan.front(side) + 14
+    x, y = np.arange(-plan.length / 2 - 10, plan.length / 2 + 10, _CELL), np.arange(near, far + _CELL, _CELL)
+    waves = rng.uniform((-0.5, -0.7, 0), (0.5, 0.7, 2 * np.pi), (6, 3))
+    phase = x[:, None, None] * waves[:, 0] + y[:, None] * waves[:, 1] + waves[:, 2]  # (X, Y, 6)
+    fades = np.clip((y - near) / 2, 0, 1) * np.clip((plan.front(side) - y) / 2, 0, 1)
+    height = LEVEL + 0.045 * fades * (np.sin(phase).sum(axis=2) + 1)
+    grid = np.stack((*np.meshgrid(x, side * y, indexing="ij"), height), axis=2)
+    corners = np.stack((grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]), axis=2).reshape(-1, 4, 3)
+    green = from_hsv(rng.uniform(0.22, 0.3, 1), rng.uniform(0.45, 0.65, 1), rng.uniform(0.38, 0.5, 1))
+    straw = from_hsv(rng.uniform(0.13, 0.2, 1), rng.uniform(0.4, 0.6, 1), rng.uniform(0.45, 0.6, 1))
+    grass = paint(rng, green, straw, pattern=PATCHES, scale=rng.uniform(1.0, 2.5))
+    return Quads(corners, corners[..., :2].copy(), grass.take(np.zeros(len(corners), dtype=np.int64)))
+
+
+def _stone(rng: np.random.Generator) -> Array:
+    """The color (1, 3) of paving: gray, or reddish to ocher."""
+    if rng.random() < 0.6:
+        return neutral(rng, 0.42, 0.62)
+    return from_hsv(rng.uniform(0.0, 0.11, 1), rng.uniform(0.2, 0.45, 1), rng.uniform(0.42, 0.62, 1))
+
+
+def _flat(x: Array | float, y: Array | float, z: float) -> Array:
+    """Places (N, 3) at one height."""
+    x, y = np.broadcast_arrays(x, y)
+    return np.stack((x, y, np.full(x.shape, z)), axis=-1)
