@@ -12,7 +12,7 @@ from torch import Tensor
 
 import torchreg as tr
 from torchreg.geometry.se3 import rigid
-from torchreg.types import Candidate, Proposal, StageCounts
+from torchreg.types import Candidate, Failure, Proposal, StageCounts
 
 OPTIONS = tr.RegistrationOptions(
     voxel_size=0.05,
@@ -67,8 +67,10 @@ def bare_result(**changes: Any) -> tr.RegistrationResult:
         "fitness": number(0.61),
         "inlier_rmse": number(0.0123),
         "success": torch.tensor([True]),
-        "reason": ("",),
+        "failure": (None,),
         "hypotheses": tr.HypothesisCounts(9000 * one, 800 * one, 70 * one),
+        "source": tr.Clouds(torch.zeros(4, 3)),
+        "target": tr.Clouds(torch.zeros(4, 3)),
         "correspondences": matched(torch.arange(4), torch.arange(4)),
     }
     return tr.RegistrationResult(**(fields | changes))
@@ -94,12 +96,12 @@ def verified_result(**changes: Any) -> tr.RegistrationResult:
     return replace(bare_result(), **(fields | changes))
 
 
-def failed_result(reason: str, **changes: Any) -> tr.RegistrationResult:
-    """As ``verified_result``, refused for this reason."""
+def failed_result(kind: str, text: str = "", **changes: Any) -> tr.RegistrationResult:
+    """As ``verified_result``, refused for a reason of this kind."""
     fields: dict[str, Any] = {
         "T_target_source": torch.eye(4, dtype=torch.float64)[None],
         "success": torch.tensor([False]),
-        "reason": (reason,),
+        "failure": (Failure(kind, text or kind),),
         "probability": number(0.07),
     }
     return verified_result(**(fields | changes))

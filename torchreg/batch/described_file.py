@@ -15,7 +15,7 @@ import torch
 from torchreg.io.atomic import atomic_write
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import CloudFacts
-from torchreg.types import Clouds, Features, RegistrationOptions
+from torchreg.types import Clouds, Failure, Features, RegistrationOptions
 from torchreg.version import __version__
 
 _FORMAT = 2
@@ -52,7 +52,7 @@ def write_described(path: Path, described: DescribedClouds) -> None:
             for name, item in described.descriptors.items()
         },
         "spacing": list(described.spacing),
-        "facts": [list(facts) for facts in described.facts],
+        "facts": [_plain(facts) for facts in described.facts],
     }
     held = io.BytesIO()
     torch.save(content, held)
@@ -73,6 +73,12 @@ def read_described(path: Path) -> DescribedClouds | None:
     return _described(torch.load(io.BytesIO(held), map_location="cpu", weights_only=True))
 
 
+def _plain(facts: CloudFacts) -> list[Any]:
+    """The facts of one cloud without types of this package."""
+    defect = facts.defect
+    return list(facts._replace(defect=None if defect is None else (defect.kind, defect.text, dict(defect.figures))))  # type: ignore[arg-type]
+
+
 def _checksum(content: bytes) -> bytes:
     return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
 
@@ -89,6 +95,7 @@ def _described(content: dict[str, Any]) -> DescribedClouds:
         for name, item in content["descriptors"].items()
     }
     facts = []
-    for points, extent, defect, colors, faced in content["facts"]:
+    for points, extent, failure, colors, faced in content["facts"]:
+        defect = None if failure is None else Failure(*failure)
         facts.append(CloudFacts(points, extent, defect, None if colors is None else tuple(colors), faced))
     return DescribedClouds(cloud, descriptors, tuple(content["spacing"]), tuple(facts))

@@ -29,7 +29,8 @@ def info(file: CloudPath, json: opt.JsonSwitch = False, viewpoint: opt.Viewpoint
 
     with step(f"reading {file.name}"):
         found = read_cloud_report(file, viewpoint=viewpoint_of_text(viewpoint, "--viewpoint"))
-    defect = refuse(found.cloud, found.cloud)[0].replace("the source", "it")
+    failure = refuse(found.cloud, found.cloud)[0]
+    defect = "" if failure is None else failure.text.replace("the source", "it")
     options, apart = None, 0.0
     if not defect:
         with step("measuring the spacing of the points"):

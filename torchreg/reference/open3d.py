@@ -8,6 +8,7 @@ near the target.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -67,8 +68,8 @@ def register(
     pairs = zip(source.unpack(), target.unpack(), per_pair, refused, strict=True)
     found = []
     for one, other, option, defect in pairs:
-        if defect:
-            found.append(Found(reason=defect, points=(len(one.points), len(other.points))))
+        if defect is not None:
+            found.append(Found(one, other, defect))
             continue
         o3d.utility.random.seed(seed)
         found.append(register_pair(one, other, option, features, watch))
@@ -76,7 +77,7 @@ def register(
     said = f"by Open3D {o3d.__version__}, {what}"
     remarks = notes_on(source, target, per_pair)
     notes = tuple((said, *more, *one.notes) for more, one in zip(remarks, found, strict=True))
-    return _collect(found, per_pair, notes, _by_stage(watch))
+    return _collect(source, target, found, per_pair, notes, _by_stage(watch))
 
 
 def _options_of_pairs(
@@ -98,22 +99,29 @@ def _by_stage(watch: Stopwatch) -> tuple[tuple[str, float], ...]:
 
 
 def _collect(
+    source: Clouds,
+    target: Clouds,
     found: list[Found],
     options: tuple[RegistrationOptions, ...],
     notes: tuple[tuple[str, ...], ...],
     seconds: tuple[tuple[str, float], ...],
 ) -> RegistrationResult:
-    empty = Found()
-    first = torch.stack([offsets_of(one.points[side] for one in found) for side in (0, 1)], dim=1)  # (B+1, 2)
+    empty = Found(source, target)
+    if found:
+        source = Clouds.pack([replace(one.source, normals=None) for one in found])
+        target = Clouds.pack([replace(one.target, normals=None) for one in found])
+    first = torch.stack([source.offsets, target.offsets], dim=1)  # (B+1, 2)
     matches = torch.cat([empty.matches, *(one.matches + at for one, at in zip(found, first[:-1], strict=True))])
     return RegistrationResult(
         T_target_source=torch.stack([one.T for one in found]) if found else torch.zeros(0, 4, 4, dtype=torch.float64),
         inliers=torch.cat([empty.inliers, *(one.inliers for one in found)]),
         fitness=torch.tensor([one.fitness for one in found], dtype=torch.float64),
         inlier_rmse=torch.tensor([one.inlier_rmse for one in found], dtype=torch.float64),
-        success=torch.tensor([not one.reason for one in found], dtype=torch.bool),
-        reason=tuple(one.reason for one in found),
+        success=torch.tensor([one.failure is None for one in found], dtype=torch.bool),
+        failure=tuple(one.failure for one in found),
         hypotheses=HypothesisCounts(*torch.full((3, len(found)), -1).unbind(0)),
+        source=source,
+        target=target,
         correspondences=Correspondences(
             matches[:, 0].contiguous(),
             matches[:, 1].contiguous(),

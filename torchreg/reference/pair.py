@@ -14,7 +14,8 @@ from torchreg.reference.legacy import feature, point_cloud, rows
 from torchreg.reference.stages import estimate_normals, fpfh, voxel_downsample
 from torchreg.registration.describe import color_of_pairs, describe, fused, oriented
 from torchreg.registration.stopwatch import Stopwatch
-from torchreg.types import Clouds, Features, RegistrationOptions
+from torchreg.solvers.checks import too_few_matches
+from torchreg.types import Clouds, Failure, Features, RegistrationOptions
 
 FEATURES = ("fpfh", "fused")
 MUTUAL_SHARE = 0.1
@@ -26,22 +27,24 @@ class Found:
     """One pair's share of a result.
 
     Attributes:
-        reason: why the pair was not registered, or an empty text.
+        source: the cloud that the matches' rows count, downsampled.
+        target: likewise.
+        failure: why the pair was not registered, ``None`` where it was.
         T: (4, 4) float64, T_target_source, origins included.
         matches: (M, 2) int64, rows of the pair's own clouds after downsampling.
         score: (M,) float64, distances in feature space.
         inliers: (M,) bool.
-        points: numbers of points that the matches' rows count, of both clouds.
         fitness, inlier_rmse: as Open3D returns them.
         notes: what a user should know.
     """
 
-    reason: str = ""
+    source: Clouds
+    target: Clouds
+    failure: Failure | None = None
     T: Tensor = field(default_factory=lambda: torch.eye(4, dtype=torch.float64))
     matches: Tensor = field(default_factory=lambda: torch.zeros(0, 2, dtype=torch.int64))
     score: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     inliers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
-    points: tuple[int, int] = (0, 0)
     fitness: float = 0.0
     inlier_rmse: float = 0.0
     notes: tuple[str, ...] = ()
@@ -63,7 +66,7 @@ def register_pair(
         radius, most = options.feature_radius, options.feature_max_neighbors
         left, right = (fpfh(cloud, radius, most) for cloud in (source, target))
         watch.lap("descriptors")
-    found = Found(points=(len(source.points), len(target.points)))
+    found = Found(source, target)
     found.matches, found.notes = _match(left, right, everything=features == "fpfh")
     difference = left.values[found.matches[:, 0]].double() - right.values[found.matches[:, 1]].double()
     found.score = difference.norm(dim=1)
@@ -108,7 +111,7 @@ def _ransac(found: Found, source: Clouds, target: Clouds, options: RegistrationO
     o3d, told = load_open3d(), options.ransac
     found.inliers = torch.zeros(len(found.matches), dtype=torch.bool)
     if len(found.matches) < told.sample_size:
-        found.reason = f"too few matches: {len(found.matches)}, and a sample needs {told.sample_size}"
+        found.failure = too_few_matches(len(found.matches), told.sample_size)
         return
     registration = o3d.pipelines.registration
     said = registration.registration_ransac_based_on_correspondence(
@@ -125,7 +128,8 @@ def _ransac(found: Found, source: Clouds, target: Clouds, options: RegistrationO
         registration.RANSACConvergenceCriteria(told.hypotheses, told.confidence),
     )
     if said.fitness == 0:
-        found.reason = f"no hypothesis left: Open3D kept none of up to {told.hypotheses} samples"
+        text = f"no hypothesis left: Open3D kept none of up to {told.hypotheses} samples"
+        found.failure = Failure("no hypothesis", text, {"drawn": told.hypotheses})
         return
     found.fitness, found.inlier_rmse = said.fitness, said.inlier_rmse
     T = torch.tensor(said.transformation, dtype=torch.float64)

@@ -70,10 +70,10 @@ def compare(
     given = source
 
     differences: tuple[DescriptorDifference, ...] = ()
-    usable = not refuse(source, target)[0]
+    usable = refuse(source, target)[0] is None
     if usable:
         source, target = downsample(source, [options]), downsample(target, [options])
-        usable = not refuse(source, target)[0]
+        usable = refuse(source, target)[0] is None
     as_they_are = replace(options, voxel_size=None)
     if usable:
         differences = tuple(

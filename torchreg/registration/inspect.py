@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
 
-from torchreg.types import Clouds, RegistrationOptions
+from torchreg.types import Clouds, Failure, RegistrationOptions
 from torchreg.types.packing import offsets_of, spans
 
 _LEAST_POINTS = 4
@@ -21,14 +22,14 @@ class CloudFacts(NamedTuple):
     Attributes:
         points: how many.
         extent: meters, the longest edge of its bounding box; 0 where that means nothing.
-        defect: why it cannot be registered, ``{}`` standing for its role in a pair; empty where it can.
+        defect: why it cannot be registered, ``{}`` in its text standing for its role in a pair; ``None`` where it can.
         colors: the least and the greatest number among its colors; ``None`` without colors.
         faced: whether its viewpoint is known.
     """
 
     points: int
     extent: float
-    defect: str
+    defect: Failure | None
     colors: tuple[float, float] | None
     faced: bool
 
@@ -38,32 +39,37 @@ def facts_of(clouds: Clouds) -> tuple[CloudFacts, ...]:
     return tuple(map(_facts, clouds.unpack()))
 
 
-def refuse(source: Clouds, target: Clouds) -> list[str]:
-    """Why each pair cannot be registered at all, or an empty text."""
+def refuse(source: Clouds, target: Clouds) -> list[Failure | None]:
+    """Why each pair cannot be registered at all; ``None`` where it can."""
     return [refusal(one, other) for one, other in zip(facts_of(source), facts_of(target), strict=True)]
 
 
-def refusal(source: CloudFacts, target: CloudFacts, options: RegistrationOptions | None = None) -> str:
-    """Why one pair cannot be registered, with these options if they are known already, or an empty text."""
+def refusal(source: CloudFacts, target: CloudFacts, options: RegistrationOptions | None = None) -> Failure | None:
+    """Why one pair cannot be registered, with these options if they are known already; ``None`` where it can."""
     for name, facts in (("source", source), ("target", target)):
-        if facts.defect:
-            return facts.defect.format(name)
+        if facts.defect is not None:
+            return _in_role(facts.defect, name)
     if options is not None:
         for name, facts in (("target", target), ("source", source)):
-            reason = too_wide(facts, options.voxel_size)
-            if reason:
-                return reason.format(name)
-    return ""
+            failure = too_wide(facts, options.voxel_size)
+            if failure is not None:
+                return _in_role(failure, name)
+    return None
 
 
-def too_wide(facts: CloudFacts, voxel_size: float | None) -> str:
-    """Why the voxels of a cloud cannot be numbered, ``{}`` standing for its role, or an empty text."""
+def too_wide(facts: CloudFacts, voxel_size: float | None) -> Failure | None:
+    """Why the voxels of a cloud cannot be numbered, ``{}`` standing for its role; ``None`` where they can."""
     if voxel_size is None or facts.extent <= _MOST_VOXELS * voxel_size:
-        return ""
-    return f"points too far apart: {facts.extent:.3g} m in the {{}}, for voxels of {voxel_size:.3g} m"
+        return None
+    text = f"points too far apart: {facts.extent:.3g} m in the {{}}, for voxels of {voxel_size:.3g} m"
+    return Failure("too wide", text, {"extent": facts.extent, "voxel_size": voxel_size})
 
 
-def set_aside(clouds: Clouds, refused: Sequence[str]) -> Clouds:
+def _in_role(failure: Failure, name: str) -> Failure:
+    return replace(failure, text=failure.text.format(name))
+
+
+def set_aside(clouds: Clouds, refused: Sequence[object]) -> Clouds:
     """The same batch with the clouds of refused pairs emptied, so that they do not touch the others."""
     if not any(refused):
         return clouds
@@ -115,24 +121,29 @@ def _facts(cloud: Clouds) -> CloudFacts:
     )
 
 
-def _defect(cloud: Clouds) -> str:
+def _defect(cloud: Clouds) -> Failure | None:
     points = cloud.points
     if len(points) < _LEAST_POINTS:
-        return f"too few points: the {{}} has {len(points)}, at least {_LEAST_POINTS} are needed"
+        text = f"too few points: the {{}} has {len(points)}, at least {_LEAST_POINTS} are needed"
+        return Failure("too few points", text, {"points": len(points), "needed": _LEAST_POINTS})
     if not bool(torch.isfinite(cloud.origin).all()):
-        return "an origin that is not finite in the {}"
+        return Failure("not finite", "an origin that is not finite in the {}")
     finite = torch.isfinite(points).all(dim=1)
     if not bool(finite.all()):
-        return f"points that are not finite: {int((~finite).sum())} of {len(points)} in the {{}}"
-    if float(points.abs().amax()) > _FARTHEST:
-        return f"points too far out: up to {float(points.abs().amax()):.3g} m in the {{}}, at most {_FARTHEST:.0e} m"
+        count = int((~finite).sum())
+        text = f"points that are not finite: {count} of {len(points)} in the {{}}"
+        return Failure("not finite", text, {"points": count})
+    farthest = float(points.abs().amax())
+    if farthest > _FARTHEST:
+        text = f"points too far out: up to {farthest:.3g} m in the {{}}, at most {_FARTHEST:.0e} m"
+        return Failure("too wide", text, {"extent": farthest})
     if cloud.colors is not None and not bool(torch.isfinite(cloud.colors).all()):
-        return "colors that are not finite in the {}"
+        return Failure("not finite", "colors that are not finite in the {}")
     centered = (points - points[:1]).double()
     if not bool((centered != 0).any()):
-        return f"a degenerate cloud: all {len(points)} points of the {{}} coincide"
+        return Failure("degenerate", f"a degenerate cloud: all {len(points)} points of the {{}} coincide")
     centered = centered - centered.mean(dim=0)
     spread = torch.linalg.eigvalsh(centered.t() @ centered)
     if float(spread[1]) <= 1e-12 * float(spread[2]):
-        return "a degenerate cloud: the points of the {} lie on one line"
-    return ""
+        return Failure("degenerate", "a degenerate cloud: the points of the {} lie on one line")
+    return None

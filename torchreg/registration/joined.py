@@ -9,14 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchreg.types import Correspondences, HypothesisCounts, RegistrationResult
+from torchreg.types import Clouds, Correspondences, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import offsets_of, spans
 
 _TENSORS = (
     *("T_target_source", "inliers", "fitness", "inlier_rmse", "success"),
     *("probability", "overlap", "information", "strength", "runner_up", "margin"),
 )
-_LISTED = ("reason", "options", "notes", "candidates", "stages")
+_LISTED = ("failure", "options", "notes", "candidates", "stages")
 
 
 def joined(results: Sequence[RegistrationResult], *, seconds: tuple[tuple[str, float], ...]) -> RegistrationResult:
@@ -39,6 +39,8 @@ def joined(results: Sequence[RegistrationResult], *, seconds: tuple[tuple[str, f
         first,
         **fields,
         hypotheses=HypothesisCounts(*map(torch.cat, zip(*(result.hypotheses for result in results), strict=True))),
+        source=Clouds.pack([result.source for result in results]),
+        target=Clouds.pack([result.target for result in results]),
         correspondences=_correspondences(results),
         seconds=seconds,
     )
@@ -49,7 +51,7 @@ def _correspondences(results: Sequence[RegistrationResult]) -> Correspondences:
     for result in results:
         source.append(result.correspondences.source + first[0])
         target.append(result.correspondences.target + first[1])
-        first = [first[k] + sum(stage.points[k] for stage in result.stages) for k in range(2)]
+        first = [first[0] + len(result.source.points), first[1] + len(result.target.points)]
     counts = [end - begin for result in results for begin, end in spans(result.correspondences.offsets)]
     return Correspondences(
         source=torch.cat(source),

@@ -69,7 +69,7 @@ def register_described(
     watch.lap("decision")
     return replace(
         result,
-        reason=tuple(early or late for early, late in zip(refused, result.reason, strict=True)),
+        failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)),
         options=tuple(options),
         notes=tuple(map(pair_notes, *facts, options)),
         seconds=watch.laps(),
@@ -77,7 +77,7 @@ def register_described(
     )
 
 
-def _without(side: DescribedClouds, refused: Sequence[str]) -> DescribedClouds:
+def _without(side: DescribedClouds, refused: Sequence[object]) -> DescribedClouds:
     """The same clouds, those of refused pairs without points, so that they do not touch the others."""
     if not any(refused):
         return side

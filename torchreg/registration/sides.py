@@ -13,7 +13,7 @@ from torchreg.registration.inspect import facts_of, refusal, set_aside
 from torchreg.registration.recipes import blocks_of, recipes_of
 from torchreg.registration.same_clouds import same_clouds
 from torchreg.registration.stopwatch import Stopwatch
-from torchreg.types import Clouds, RegistrationOptions
+from torchreg.types import Clouds, Failure, RegistrationOptions
 
 _NOTHING = -1
 
@@ -44,7 +44,7 @@ class Sides:
             number: replace(cloud, normals=None, colors=cloud.colors if self._colored else None)
             for number, cloud in distinct.items()
         }
-        self._clouds[_NOTHING] = set_aside(self._clouds[self._numbers[0][0]], ["nothing"])
+        self._clouds[_NOTHING] = set_aside(self._clouds[self._numbers[0][0]], [True])
 
     @property
     def numbers(self) -> list[list[int]]:
@@ -109,7 +109,7 @@ class Sides:
         self._described = {entry: item.clone() if entry in new else item for entry, item in later.items()}
         return sides[0], sides[1]
 
-    def _refused(self, options: Sequence[RegistrationOptions | None]) -> list[str]:
+    def _refused(self, options: Sequence[RegistrationOptions | None]) -> list[Failure | None]:
         return [
             refusal(self._facts[one], self._facts[other], option)
             for one, other, option in zip(*self._numbers, options, strict=True)

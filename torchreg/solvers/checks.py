@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.types import Clouds, Correspondences
+from torchreg.types import Clouds, Correspondences, Failure
 from torchreg.types.packing import spans
 
 
@@ -21,16 +21,22 @@ def check_matches(source: Clouds, target: Clouds, matches: Correspondences) -> N
     _check_rows(matches.target, target, matches.offsets, "matches.target")
 
 
-def refusals(source: Clouds, target: Clouds, matches: Correspondences, least: Sequence[int]) -> list[str]:
-    """Why a pair cannot be solved, or an empty text, of every pair."""
+def refusals(source: Clouds, target: Clouds, matches: Correspondences, least: Sequence[int]) -> list[Failure | None]:
+    """Why a pair cannot be solved, of every pair; ``None`` where it can."""
     finite = [one and other for one, other in zip(_finite(source), _finite(target), strict=True)]
     counts = matches.offsets.diff().tolist()
     return [
-        f"too few matches: {count}, and a sample needs {needed}"
+        too_few_matches(count, needed)
         if count < needed
-        else ("" if sound else "points that are not finite")
+        else (None if sound else Failure("not finite", "points that are not finite"))
         for count, needed, sound in zip(counts, least, finite, strict=True)
     ]
+
+
+def too_few_matches(count: int, needed: int) -> Failure:
+    """Fewer matches than fix a transform."""
+    text = f"too few matches: {count}, and a sample needs {needed}"
+    return Failure("too few matches", text, {"matches": count, "needed": needed})
 
 
 def _finite(clouds: Clouds) -> list[bool]:

@@ -12,7 +12,7 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.neighborhoods.coverage import coverage
 from torchreg.solvers.found import PairPoses
 from torchreg.solvers.verdict import log10_false_alarms, refusal
-from torchreg.types import Clouds, Correspondences, HypothesisCounts, RegistrationResult
+from torchreg.types import Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import spans
 
 
@@ -37,7 +37,7 @@ class _Outcome(NamedTuple):
     inliers: Tensor
     fitness: Tensor
     inlier_rmse: Tensor
-    reason: str
+    failure: Failure | None
 
 
 def collect(
@@ -68,9 +68,11 @@ def collect(
         inliers=torch.cat([none.bool(), *(outcome.inliers for outcome in outcomes)]),
         fitness=torch.cat([none, *(outcome.fitness[None] for outcome in outcomes)]),
         inlier_rmse=torch.cat([none, *(outcome.inlier_rmse[None] for outcome in outcomes)]),
-        success=torch.tensor([not outcome.reason for outcome in outcomes], dtype=torch.bool, device=device),
-        reason=tuple(outcome.reason for outcome in outcomes),
+        success=torch.tensor([outcome.failure is None for outcome in outcomes], dtype=torch.bool, device=device),
+        failure=tuple(outcome.failure for outcome in outcomes),
         hypotheses=HypothesisCounts(*counts),
+        source=source,
+        target=target,
         correspondences=matches,
     )
 
@@ -82,7 +84,7 @@ def _outcome(
     if len(poses.support) == 0:
         zero = torch.zeros((), dtype=torch.float64, device=source.device)
         identity = torch.eye(4, dtype=torch.float64, device=source.device)
-        return _Outcome(identity, zero.bool().expand(end - begin), zero, zero, poses.reason)
+        return _Outcome(identity, zero.bool().expand(end - begin), zero, zero, poses.failure)
     R, t = poses.rotation[0], poses.translation[0]
     near = coverage(source.select(b).points, target.select(b).points, R, t, judged.inlier_threshold)
     alarms = log10_false_alarms(

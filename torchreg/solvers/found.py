@@ -12,6 +12,7 @@ from torchreg.geometry.se3 import apply_rotation
 from torchreg.solvers.group import Group
 from torchreg.solvers.proposals import Proposals
 from torchreg.solvers.refine import Scored
+from torchreg.types import Failure
 
 
 class Found(NamedTuple):
@@ -22,18 +23,18 @@ class Found(NamedTuple):
         drawn: hypotheses begun: samples drawn, or seeds.
         kept: those that passed the first test: of edge lengths, or of having partners enough.
         scored: poses scored on all correspondences.
-        reason: why there is no hypothesis, else empty.
+        failure: why there is no hypothesis, else ``None``.
     """
 
     proposals: Proposals | None
     drawn: int
     kept: int
     scored: int
-    reason: str
+    failure: Failure | None
 
 
 class PairPoses(NamedTuple):
-    """The poses of one pair, best first and distinct; H = 0 beside a reason.
+    """The poses of one pair, best first and distinct; H = 0 beside a failure.
 
     A pose takes ``source.points`` to ``target.points``: x_target = R x_source + t, origins left out.
 
@@ -46,7 +47,7 @@ class PairPoses(NamedTuple):
         drawn: hypotheses begun.
         kept: those that passed the first test.
         scored: poses scored on all correspondences.
-        reason: why there is no pose, else empty.
+        failure: why there is no pose, else ``None``.
     """
 
     rotation: Tensor
@@ -57,7 +58,7 @@ class PairPoses(NamedTuple):
     drawn: int
     kept: int
     scored: int
-    reason: str
+    failure: Failure | None
 
 
 def no_pose(found: Found, matches: int, device: torch.device) -> PairPoses:

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.types import Failure
 
 LOG10_FALSE_ALARMS = -12.0
 """The most that is accepted. Neighboring points match neighboring points, so matches agree more often than
@@ -53,14 +54,16 @@ def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, samp
     return math.log10(tests) + min(tails)
 
 
-def refusal(support: int, matches: int, alarms: float) -> str:
-    """Why a winner with so many inliers and false alarms (log10) is no success, or an empty text."""
+def refusal(support: int, matches: int, alarms: float) -> Failure | None:
+    """Why a winner with so many inliers and false alarms (log10) is no success; ``None`` where it is one."""
     if alarms <= LOG10_FALSE_ALARMS:
-        return ""
-    return (
+        return None
+    text = (
         f"no consensus: {support} of {matches} matches agree, too few to tell from chance "
         f"(10^{alarms:.1f} such agreements expected by chance, at most 10^{LOG10_FALSE_ALARMS:.0f} is accepted)"
     )
+    figures = {"support": support, "matches": matches, "log10_false_alarms": alarms}
+    return Failure("no consensus", text, figures)
 
 
 def chance_rate(source: Tensor, target: Tensor, threshold: float) -> float:

@@ -3,6 +3,7 @@
 from torchreg.types.candidate import Candidate, Proposal, StageCounts
 from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences
+from torchreg.types.failure import Failure
 from torchreg.types.features import Features
 from torchreg.types.neighborhoods import Neighborhoods
 from torchreg.types.options import CompatibilityOptions, RansacOptions, RegistrationOptions
@@ -14,6 +15,7 @@ __all__ = [
     "Clouds",
     "CompatibilityOptions",
     "Correspondences",
+    "Failure",
     "Features",
     "HypothesisCounts",
     "Neighborhoods",

@@ -11,7 +11,9 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_dtype, expect_shape
 from torchreg.types.candidate import Candidate, StageCounts
+from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences
+from torchreg.types.failure import Failure
 from torchreg.types.options import RegistrationOptions
 
 
@@ -41,7 +43,7 @@ _PER_PAIR: dict[str, tuple[int, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class RegistrationResult:
-    """The transforms of ``B`` pairs. A failed pair is data: ``success`` false, and its ``reason``.
+    """The transforms of ``B`` pairs. A failed pair is data: ``success`` false, and its ``failure``.
 
     Attributes:
         T_target_source: (B, 4, 4) float64, rigid: x_target = R x_source + t in meters, in the frames of the
@@ -51,10 +53,12 @@ class RegistrationResult:
             under the transform; as Open3D's ``evaluate_registration``.
         inlier_rmse: (B,) float64, meters, over those points; as Open3D.
         success: (B,) bool.
-        reason: why a pair did not succeed, empty where it did.
+        failure: of every pair why it did not succeed, ``None`` where it did; ``reason`` is its text.
         hypotheses: counts of every pair.
-        correspondences: the matches that ``inliers`` speaks of; their rows are those of the clouds handed to
-            ``ransac``, in ``register`` those of the downsampled clouds.
+        source: B clouds, those that were matched: what was handed to a solver, in ``register`` the thinned clouds
+            with their normals.
+        target: B clouds, likewise.
+        correspondences: the matches that ``inliers`` speaks of; their rows are those of ``source`` and ``target``.
         options: what every pair was run with, derived numbers included; empty when made by ``ransac``.
         notes: what a user should know of a pair, such as that it had no colors.
         seconds: time of every stage, by name, in order; empty when made by ``ransac``.
@@ -79,8 +83,10 @@ class RegistrationResult:
     fitness: Tensor
     inlier_rmse: Tensor
     success: Tensor
-    reason: tuple[str, ...]
+    failure: tuple[Failure | None, ...]
     hypotheses: HypothesisCounts
+    source: Clouds
+    target: Clouds
     correspondences: Correspondences
     options: tuple[RegistrationOptions, ...] = ()
     notes: tuple[tuple[str, ...], ...] = ()
@@ -105,7 +111,9 @@ class RegistrationResult:
             expect_dtype(getattr(self, name), name, torch.float64)
         expect_shape(self.success, "success", (pairs,))
         expect_dtype(self.success, "success", torch.bool)
-        expect(len(self.reason) == pairs, "reason", f"one text per pair ({pairs})", self.reason)
+        expect(len(self.failure) == pairs, "failure", f"one or None per pair ({pairs})", self.failure)
+        for name in ("source", "target"):
+            expect(len(getattr(self, name)) == pairs, name, f"one cloud per pair ({pairs})", len(getattr(self, name)))
         for counts, field in zip(self.hypotheses, self.hypotheses._fields, strict=True):
             expect_shape(counts, f"hypotheses.{field}", (pairs,))
         for name, size in _PER_PAIR.items():
@@ -120,6 +128,11 @@ class RegistrationResult:
     def __len__(self) -> int:
         """The number of pairs, B."""
         return self.T_target_source.shape[0]
+
+    @property
+    def reason(self) -> tuple[str, ...]:
+        """Why a pair did not succeed, in words; empty where it did."""
+        return tuple("" if failure is None else failure.text for failure in self.failure)
 
     def explain(self, pair: int = 0) -> str:
         """What each stage of one pair had and lost, in words, and what is most likely to help.

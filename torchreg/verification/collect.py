@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.solvers import PairPoses
-from torchreg.types import Candidate, Clouds, Correspondences, HypothesisCounts, RegistrationResult
+from torchreg.types import Candidate, Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import offsets_of, spans
 
 
@@ -35,7 +35,7 @@ class Verdict(NamedTuple):
     inliers: Tensor
     fitness: float
     inlier_rmse: float
-    reason: str
+    failure: Failure | None
     probability: float
     overlap: float
     information: Tensor
@@ -45,7 +45,9 @@ class Verdict(NamedTuple):
     candidates: tuple[Candidate, ...]
 
 
-def collect(source: Clouds, proposed: Sequence[Proposed], verdicts: Sequence[Verdict]) -> RegistrationResult:
+def collect(
+    source: Clouds, target: Clouds, proposed: Sequence[Proposed], verdicts: Sequence[Verdict]
+) -> RegistrationResult:
     """The result of B pairs from their verdicts, each with the matches of the proposal that speaks for it."""
     device = source.device
 
@@ -78,9 +80,11 @@ def collect(source: Clouds, proposed: Sequence[Proposed], verdicts: Sequence[Ver
         inliers=torch.cat([joint.source[:0].bool(), *(item.inliers for item in verdicts)]),
         fitness=numbers("fitness"),
         inlier_rmse=numbers("inlier_rmse"),
-        success=torch.tensor([not item.reason for item in verdicts], dtype=torch.bool, device=device),
-        reason=tuple(item.reason for item in verdicts),
+        success=torch.tensor([item.failure is None for item in verdicts], dtype=torch.bool, device=device),
+        failure=tuple(item.failure for item in verdicts),
         hypotheses=HypothesisCounts(*counts),
+        source=source,
+        target=target,
         correspondences=joint,
         probability=numbers("probability"),
         overlap=numbers("overlap"),

@@ -1,4 +1,4 @@
-"""Why a pose is not trusted: a name, a colon, and the figures behind it."""
+"""Why a pose is not trusted."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torchreg.types import Failure
 from torchreg.verification.model import MODEL, probability_alone, terms
 from torchreg.verification.weigh import Weighed
 
@@ -28,8 +29,10 @@ def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
     return probability >= least and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
 
 
-def refusal(found: Weighed, probabilities: list[float], strength: float, apart: Callable[[], str], least: float) -> str:
-    """Why the best candidate is refused, or an empty text.
+def refusal(
+    found: Weighed, probabilities: list[float], strength: float, apart: Callable[[], str], least: float
+) -> Failure | None:
+    """Why the best candidate is refused; ``None`` where it is a success.
 
     Args:
         found: the H candidates of one pair, best first.
@@ -40,21 +43,24 @@ def refusal(found: Weighed, probabilities: list[float], strength: float, apart: 
     """
     probability, odds = probabilities[0], found.odds
     if accepted(probability, odds, least):
-        return ""
+        return None
+    figures = {"probability": probability, "least": least, "strength": strength}
     held = f"probability {probability:.2f} of being right, {least:g} is needed"
     if probability >= least:
         held = f"log-odds {float(odds[0] - odds[1]):.2f} above it, {MARGIN:g} are needed"
     rivals = len(probabilities) > 1
     if strength < FIRM and float(found.evidence.overlap[0]) >= _LAID_ON:
         others = f"; {apart()}, they agree nearly as well" if rivals else ""
-        return f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({held})"
+        text = f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({held})"
+        return Failure("sliding", text, figures)
     if rivals and probabilities[1] >= _RIVAL and float(probability_alone(odds[0])) >= least:
-        return f"ambiguous: a second pose {apart()} agrees nearly as well ({held})"
-    return f"{_weakest(found.take(slice(1)))} ({held})"
+        return Failure("ambiguous", f"ambiguous: a second pose {apart()} agrees nearly as well ({held})", figures)
+    kind, text = _weakest(found.take(slice(1)))
+    return Failure(kind, f"{text} ({held})", figures)
 
 
-def _weakest(one: Weighed) -> str:
-    """What the best candidate (H = 1) lacks most, against what right poses have."""
+def _weakest(one: Weighed) -> tuple[str, str]:
+    """The kind and the words of what the best candidate (H = 1) lacks most, against what right poses have."""
     seen = one.evidence
     numbers: Tensor = terms(seen, one.surprise)[0]
     lack = {
@@ -67,12 +73,18 @@ def _weakest(one: Weighed) -> str:
         lack["conflict"] = 0.0
     overlap, closeness, normals, colors, strength, conflict = (float(value[0]) for value in seen)
     words = {
-        "overlap": f"too little overlap: {overlap:.0%} of the points find a partner",
-        "closeness": f"surfaces disagree: partners are {(1 - closeness) ** 0.5:.2f} thresholds apart",
-        "normals": f"surfaces disagree: normals of partners have a mean cosine of {normals:.2f}",
-        "colors": f"colors disagree: those of partners correlate by {colors:.2f}",
-        "strength": f"sliding: the surfaces of partners leave a motion open (strength {strength:.3f})",
-        "conflict": f"free-space conflict: {conflict:.1%} of the points stand where a scanner saw none",
-        "surprise": f"no consensus: {int(one.support[0])} matches agree, in few places",
+        "overlap": ("little overlap", f"too little overlap: {overlap:.0%} of the points find a partner"),
+        "closeness": (
+            "surfaces disagree",
+            f"surfaces disagree: partners are {(1 - closeness) ** 0.5:.2f} thresholds apart",
+        ),
+        "normals": ("surfaces disagree", f"surfaces disagree: normals of partners have a mean cosine of {normals:.2f}"),
+        "colors": ("colors disagree", f"colors disagree: those of partners correlate by {colors:.2f}"),
+        "strength": ("sliding", f"sliding: the surfaces of partners leave a motion open (strength {strength:.3f})"),
+        "conflict": (
+            "free-space conflict",
+            f"free-space conflict: {conflict:.1%} of the points stand where a scanner saw none",
+        ),
+        "surprise": ("no consensus", f"no consensus: {int(one.support[0])} matches agree, in few places"),
     }
     return words[max(words, key=lambda name: lack[name])]

@@ -57,7 +57,7 @@ def no_pose(poses: PairPoses) -> Verdict:
         inliers=torch.zeros(poses.inliers.shape[1], dtype=torch.bool, device=device),
         fitness=0.0,
         inlier_rmse=0.0,
-        reason=poses.reason,
+        failure=poses.failure,
         probability=0.0,
         overlap=0.0,
         information=torch.zeros(6, 6, dtype=torch.float64, device=device),
@@ -92,7 +92,7 @@ def _verdict(
         inliers=apart.square().sum(dim=1) < pair.lengths.threshold**2,
         fitness=float(near.fitness),
         inlier_rmse=float(near.inlier_rmse),
-        reason=refusal(
+        failure=refusal(
             own, [each.probability for each in told], strength, lambda: _apart(own.poses, pair.source.points), least
         ),
         probability=told[0].probability,

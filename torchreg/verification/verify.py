@@ -63,7 +63,7 @@ def verify(
     for b in groups.large:  # alone, and every operation on all threads
         judged[b] = judge([b])[0]
     every = [judged[b] if b in judged else no_pose(proposed[0].poses[b]) for b in range(len(source))]
-    return collect(source, proposed, every)
+    return collect(source, target, proposed, every)
 
 
 def proposals_of(proposed: Sequence[Proposed], b: int) -> tuple[Proposal, ...]:

@@ -7,14 +7,11 @@ failure decides which rules are asked first.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from torchreg.report.explain.facts import Facts
 from torchreg.report.explain.verdict import FIRM
 from torchreg.report.explain.words import chance, meters, number, odds, part, percent
-
-if TYPE_CHECKING:
-    from torchreg.types.options import RegistrationOptions
+from torchreg.types import RegistrationOptions
 
 _MOST = 2
 _LIKELY = 0.9
@@ -174,13 +171,12 @@ _ANY: tuple[_Rule, ...] = (
 )
 _FIRST: dict[str, tuple[_Rule, ...]] = {
     "too few matches": (_features, _matches),
-    "no hypothesis left": (_hypotheses, _matches),
+    "no hypothesis": (_hypotheses, _matches),
     "no consensus": (_threshold, _features, _matches, _inliers),
     "ambiguous": (_colors, _viewpoint, _context),
     "sliding": (_strength, _overlap),
-    "too little overlap": (_threshold, _overlap),
+    "little overlap": (_threshold, _overlap),
     "free-space conflict": (_conflict, _viewpoint),
     "surfaces disagree": (_normals, _threshold, _viewpoint),
     "colors disagree": (_light,),
-    "unlikely": (),
 }

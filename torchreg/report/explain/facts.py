@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.types import Candidate, Failure, RegistrationOptions, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from torchreg.types.candidate import Candidate, StageCounts
-    from torchreg.types.options import RegistrationOptions
-    from torchreg.types.result import RegistrationResult
 
 
 class Facts(NamedTuple):
@@ -21,7 +17,7 @@ class Facts(NamedTuple):
 
     Attributes:
         success: the verdict.
-        reason: why not, or an empty text.
+        failure: why not, ``None`` beside success.
         notes: on the pair.
         options: that it was run with.
         stages: what each stage had.
@@ -41,7 +37,7 @@ class Facts(NamedTuple):
     """
 
     success: bool
-    reason: str
+    failure: Failure | None
     notes: tuple[str, ...]
     options: RegistrationOptions | None
     stages: StageCounts | None
@@ -61,8 +57,8 @@ class Facts(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """The name of the reason: what stands before its colon."""
-        return self.reason.partition(":")[0].strip()
+        """Of the failure; empty beside success."""
+        return "" if self.failure is None else self.failure.kind
 
     @property
     def threshold(self) -> float | None:
@@ -83,7 +79,7 @@ def facts_of(result: RegistrationResult, pair: int) -> Facts:
     posed = not result.candidates or len(candidates) > 0
     return Facts(
         success=bool(result.success[pair]),
-        reason=result.reason[pair],
+        failure=result.failure[pair],
         notes=result.notes[pair] if result.notes else (),
         options=result.options[pair] if result.options else None,
         stages=result.stages[pair] if result.stages else None,

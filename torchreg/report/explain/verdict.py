@@ -34,7 +34,7 @@ def verdict_line(facts: Facts) -> str:
     said = "registered" if facts.success else "not registered"
     if facts.probability is not None:
         said += f", probability {chance(facts.probability)} that the pose is right"
-    return line("Verdict", said + ("" if facts.success or not facts.reason else f"; {facts.reason}"))
+    return line("Verdict", said + ("" if facts.success or facts.failure is None else f"; {facts.failure}"))
 
 
 def runner_up_words(facts: Facts) -> str:

@@ -16,7 +16,7 @@ from torchreg.solvers.compatibility.graph import first_order
 from torchreg.solvers.compatibility.nodes import choose_nodes
 from torchreg.solvers.compatibility.sets import consensus_sets, fit_sets
 from torchreg.solvers.scoring import correspondence_vectors, propose_counts
-from torchreg.types import CompatibilityOptions
+from torchreg.types import CompatibilityOptions, Failure
 
 LEAST = 3
 """Correspondences that fix a transform, and members with weight that a consensus set needs."""
@@ -85,16 +85,16 @@ def _found(
     source, target, threshold = points.source, points.target, options.inlier_threshold
     nodes, filled, passed = sets.source.shape[1], len(sets.members), translation.shape[1]
     if passed == 0:
-        reason = (
+        text = (
             f"no hypothesis left: of {nodes} correspondences {filled} have {LEAST - 1} partners that keep "
             f"their distances within {threshold:g} m, and none with partners off one line"
         )
-        return Found(None, nodes, filled, 0, reason)
+        return Found(None, nodes, filled, 0, Failure("no hypothesis", text, {"drawn": nodes, "kept": filled}))
     dtype = proposal_dtype(source, target, threshold)
     near = (rotation.to(dtype), translation.to(dtype))
     proposals = Proposals(source.device, dtype)
     proposals.add(*near, propose_counts(*near, correspondence_vectors(source.to(dtype), target.to(dtype)), threshold))
-    return Found(proposals, nodes, filled, passed, "")
+    return Found(proposals, nodes, filled, passed, None)
 
 
 def _widened(values: Tensor, width: int) -> Tensor:

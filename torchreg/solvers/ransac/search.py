@@ -15,7 +15,7 @@ from torchreg.solvers.ransac.minimal import sample_fits, solve_samples
 from torchreg.solvers.ransac.prune import spans_plane
 from torchreg.solvers.ransac.sampling import sample_rounds
 from torchreg.solvers.scoring import correspondence_vectors, propose_counts, residuals
-from torchreg.types import RansacOptions
+from torchreg.types import Failure, RansacOptions
 
 
 def search(points: Sequence[MatchedPoints], options: Sequence[RansacOptions]) -> Iterator[Found]:
@@ -63,12 +63,12 @@ def _search(points: MatchedPoints, options: RansacOptions) -> Found:
             if drawn >= _hypotheses_needed(best_count / count, options.sample_size, options.confidence):
                 break
     if proposals.total == 0:
-        reason = (
+        text = (
             f"no hypothesis left: of {drawn} samples {kept} passed the edge-length test, "
             f"and none fits within {threshold:g} m"
         )
-        return Found(None, drawn, kept, 0, reason)
-    return Found(proposals, drawn, kept, proposals.total, "")
+        return Found(None, drawn, kept, 0, Failure("no hypothesis", text, {"drawn": drawn, "kept": kept}))
+    return Found(proposals, drawn, kept, proposals.total, None)
 
 
 def _columns(points: Tensor, samples: Tensor) -> Tensor:

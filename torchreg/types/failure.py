@@ -1,0 +1,52 @@
+"""Why a pair has no transform to trust."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from torchreg.errors import one_of
+
+KINDS = (
+    # of the clouds
+    "too few points",
+    "not finite",
+    "too wide",
+    "degenerate",
+    # of the matches
+    "too few matches",
+    "no hypothesis",
+    "no consensus",
+    # of the best pose
+    "ambiguous",
+    "sliding",
+    "little overlap",
+    "surfaces disagree",
+    "colors disagree",
+    "free-space conflict",
+)
+"""What a failure can be, in the order of the stages that find it."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why one pair did not succeed.
+
+    Attributes:
+        kind: one of ``KINDS``, for programs: what to do next follows from it.
+        text: for people, the kind and the figures in one sentence.
+        figures: the numbers behind it by name, such as ``{"matches": 2, "needed": 3}``; lengths in meters.
+
+    Raises:
+        ValueError: an unknown kind.
+    """
+
+    kind: str
+    text: str
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        one_of(self.kind, "kind", KINDS)
+
+    def __str__(self) -> str:
+        return self.text
