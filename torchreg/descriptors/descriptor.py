@@ -1,0 +1,84 @@
+"""A descriptor as a record: what it needs of a cloud, and the function that describes one.
+
+To add a descriptor is to write such a record. Everything that ``register`` knows of descriptors follows from it: how
+far neighbors are searched, which clouds share a description, what is left where clouds have no colors.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, TypeVar
+
+from torchreg.errors import at_least, positive
+from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.lengths import length, scaled
+
+AnyDescriptor = TypeVar("AnyDescriptor", bound="Descriptor")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descriptor(ABC):
+    """The options of one descriptor, and how it describes a cloud. Subclasses are frozen dataclasses.
+
+    Attributes:
+        radius: meters, the support radius: neighbors nearer than this are looked at.
+        max_neighbors: the nearest so many of them, the point itself counted.
+        name: of the block of its features, such as ``"fpfh"``; one per class.
+        needs_colors: whether clouds without colors have to do without this descriptor.
+        is_histogram: whether its entries are percents not below 0, which ``RegistrationOptions.root`` moves towards
+            their square roots.
+        is_batched: whether ``describe`` reads nothing of the record that differs between the clouds of one batch:
+            ``near.radius`` in place of ``self.radius``. Clouds of several scales are described in one call then;
+            else scale by scale.
+
+    Raises:
+        ValueError: a radius that is not above 0, or fewer than 2 neighbors.
+
+    Example:
+        >>> import torch
+        >>> @dataclass(frozen=True, kw_only=True)
+        ... class Density(Descriptor):
+        ...     name = "density"
+        ...
+        ...     def describe(self, cloud, near):
+        ...         count = near.valid.sum(dim=1, keepdim=True).to(cloud.points)
+        ...         return Features(count, cloud.offsets, ((self.name, 1),), valid=count[:, 0] > 1)
+        >>> Density(radius=0.25).scaled(2).radius
+        0.5
+    """
+
+    name: ClassVar[str]
+    needs_colors: ClassVar[bool] = False
+    is_histogram: ClassVar[bool] = False
+    is_batched: ClassVar[bool] = False
+
+    radius: float = length()
+    max_neighbors: int = 100
+
+    def __post_init__(self) -> None:
+        positive(self.radius, "radius")
+        at_least(self.max_neighbors, "max_neighbors", 2)
+
+    @property
+    def is_pairwise(self) -> bool:
+        """Whether a cloud is described otherwise beside another partner: ``describe`` then gets both of a pair."""
+        return False
+
+    def scaled(self: AnyDescriptor, factor: float) -> AnyDescriptor:
+        """The same descriptor for points ``factor`` times as far apart: every length multiplied."""
+        return scaled(self, factor)
+
+    @abstractmethod
+    def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
+        """Describe every point.
+
+        Args:
+            cloud: one or several clouds, thinned, with unit normals, and with colors where ``needs_colors``; P rows.
+            near: the support of every point: neighbors within the radius, at most ``max_neighbors``, the point itself
+                among them; ``near.radius`` is that radius in meters, a number or (P,).
+
+        Returns:
+            Features (P, D) on the device and in the dtype of the points. A row that describes nothing is zero and
+            not valid.
+        """
