@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -154,10 +155,10 @@ def garbage_in_invalid_slots(near: tr.Neighborhoods, seed: int = 0) -> tr.Neighb
     """The same neighborhoods with other rows and distances where nothing is valid."""
     index = torch.randint(len(near), near.index.shape, generator=torch.Generator().manual_seed(seed))
     garbage = torch.full_like(near.sq_distance, 3.25)
-    return tr.Neighborhoods(
-        torch.where(near.valid, near.index, index),
-        near.valid,
-        torch.where(near.valid, near.sq_distance, garbage),
+    return replace(
+        near,
+        index=torch.where(near.valid, near.index, index),
+        sq_distance=torch.where(near.valid, near.sq_distance, garbage),
     )
 
 

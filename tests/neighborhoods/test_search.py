@@ -33,7 +33,9 @@ def lattice_cloud(*lengths, seed=0, dtype=torch.float32):
 
 def expected(cloud, radius, max_neighbors):
     squares = torch.as_tensor(radius, dtype=torch.float64).expand(len(cloud)) ** 2
-    return Neighborhoods(*all_pairs(cloud.points, cloud.offsets, squares.to(cloud.points.dtype), max_neighbors))
+    return Neighborhoods(
+        *all_pairs(cloud.points, cloud.offsets, squares.to(cloud.points.dtype), max_neighbors), radius=radius
+    )
 
 
 @both_backends

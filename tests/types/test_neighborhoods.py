@@ -26,6 +26,8 @@ FIELDS = {
         ({"sq_distance": torch.zeros(3, 2)}, "sq_distance", ["(4, 2)", "(3, 2)"]),
         ({"sq_distance": torch.zeros(4, 2, dtype=torch.int64)}, "sq_distance", ["floating", "int64"]),
         ({"sq_distance": torch.zeros(4, 2, device="meta")}, "sq_distance", ["cpu", "meta"]),
+        ({"radius": 0.0}, "radius", ["above 0", "0.0"]),
+        ({"radius": torch.ones(3)}, "radius", ["(4,)", "(3,)"]),
     ],
 )
 def test_what_does_not_fit_is_refused(fields, name, parts):
@@ -70,6 +72,27 @@ def test_restrict_takes_a_radius_per_point():
     mixed, short, long = near.restrict(radius), near.restrict(0.2), near.restrict(0.5)
     assert torch.equal(mixed.valid[::2], short.valid[::2])
     assert torch.equal(mixed.valid[1::2], long.valid[1::2])
+
+
+def test_neighborhoods_know_the_radius_within_which_they_lie():
+    cloud = tr.Clouds(points=torch.rand(30, 3, generator=torch.Generator().manual_seed(2)))
+    near = tr.neighbors(cloud, 0.5, 30)
+    assert near.radius == 0.5
+    assert near.trimmed().radius == near.restrict(max_neighbors=3).radius == 0.5
+    assert near.restrict(0.2).radius == near.restrict(0.2).restrict(0.9).radius == 0.2
+    assert tr.Neighborhoods(**FIELDS).radius is None
+    assert tr.Neighborhoods(**FIELDS).restrict(0.3).radius == 0.3
+
+
+def test_a_batch_knows_the_radius_of_every_point():
+    cloud = tr.Clouds(points=torch.rand(5, 3), offsets=torch.tensor([0, 2, 5]))
+    assert tr.neighbors(cloud, torch.tensor([0.5, 0.5]), 3).radius == 0.5
+    near = tr.neighbors(cloud, torch.tensor([0.5, 0.25]), 3)
+    assert near.radius.tolist() == [0.5, 0.5, 0.25, 0.25, 0.25]
+    assert near.restrict(0.375).radius.tolist() == [0.375, 0.375, 0.25, 0.25, 0.25]
+    narrow = torch.tensor([0.125, 1, 1, 1, 0.125])
+    assert near.restrict(narrow).radius.tolist() == [0.125, 0.5, 0.25, 0.25, 0.125]
+    assert tr.neighbors(cloud, 0.375, 3).restrict(narrow).radius.tolist() == [0.125, 0.375, 0.375, 0.375, 0.125]
 
 
 def test_a_neighbor_at_the_radius_is_out():

@@ -47,7 +47,18 @@ def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, back
     limits = _squared_radii(radius, len(cloud), points.dtype)
     expect_searchable(points, "cloud.points")
     search = search_open3d if uses_open3d(backend, points.device) else search_cells
-    return Neighborhoods(*search(points, spans(cloud.offsets), limits, max_neighbors))
+    slots = search(points, spans(cloud.offsets), limits, max_neighbors)
+    return Neighborhoods(*slots, radius=_per_point(radius, cloud))
+
+
+def _per_point(radius: float | Tensor, cloud: Clouds) -> float | Tensor:
+    """A radius per cloud as one per point (P,), or as one number where all are the same."""
+    if not isinstance(radius, Tensor):
+        return radius
+    values = radius.tolist()
+    if values and min(values) == max(values):
+        return float(values[0])
+    return radius.detach().repeat_interleave(torch.tensor(cloud.lengths, device=radius.device)).to(cloud.device)
 
 
 def _squared_radii(radius: float | Tensor, clouds: int, dtype: torch.dtype) -> list[float]:

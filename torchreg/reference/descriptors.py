@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -99,7 +99,7 @@ def _by_open3d(cloud: Clouds, radius: float, max_neighbors: int) -> _ByOpen3d:
 def _difference(cloud: Clouds, reference: _ByOpen3d, name: str) -> DescriptorDifference:
     dtype = cloud.points.dtype
     near = reference.near
-    found = fpfh(cloud, Neighborhoods(near.index, near.valid, near.sq_distance.to(dtype))).values.double()
+    found = fpfh(cloud, replace(near, sq_distance=near.sq_distance.to(dtype))).values.double()
     apart = (found - reference.values).abs().amax(dim=1)
     # not "greater than": NaN is off
     off = ~(apart <= TOLERANCES[dtype])

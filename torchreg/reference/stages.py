@@ -110,7 +110,7 @@ def neighborhoods(cloud: Clouds, radius: float, max_neighbors: int) -> Neighborh
         for i, point in enumerate(wide(cloud.points).numpy()):
             found, near, square = tree.search_hybrid_vector_3d(point, radius, max_neighbors)
             index[i, :found], valid[i, :found], squares[i, :found] = near, True, square
-    return Neighborhoods(torch.from_numpy(index), torch.from_numpy(valid), torch.from_numpy(squares))
+    return Neighborhoods(torch.from_numpy(index), torch.from_numpy(valid), torch.from_numpy(squares), radius)
 
 
 def evaluate(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: float) -> Evaluation:

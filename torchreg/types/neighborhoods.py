@@ -22,11 +22,14 @@ class Neighborhoods:
         valid: (P, K) bool; true slots come first.
         sq_distance: (P, K) squared meters, finite also where ``valid`` is false. What stands in such slots
             means nothing; consumers mask it.
+        radius: meters, the support radius: every neighbor is nearer. A number, or one per point (P,) where they
+            differ; ``None`` where it is not known.
     """
 
     index: Tensor
     valid: Tensor
     sq_distance: Tensor
+    radius: float | Tensor | None = None
 
     def __post_init__(self) -> None:
         expect_shape(self.index, "index", ("P", "K"))
@@ -38,6 +41,8 @@ class Neighborhoods:
         expect_floating(self.sq_distance, "sq_distance")
         expect_device(self.valid, "valid", self.index.device)
         expect_device(self.sq_distance, "sq_distance", self.index.device)
+        if self.radius is not None:
+            object.__setattr__(self, "radius", self._checked_radius(self.radius))
 
     def __len__(self) -> int:
         """The number of points, P."""
@@ -59,7 +64,8 @@ class Neighborhoods:
         nearer than ``radius`` stays cut off at ``K``.
 
         Args:
-            radius: meters, a number or one per point (P,); neighbors with d^2 < radius^2 stay.
+            radius: meters, a number or one per point (P,); neighbors with d^2 < radius^2 stay. The smaller of
+                this one and the radius of the search becomes the new ``radius``.
             max_neighbors: the nearest so many stay, the point itself counted.
 
         Raises:
@@ -68,20 +74,31 @@ class Neighborhoods:
         width = self.max_neighbors
         if max_neighbors is not None:
             width = min(width, at_least(max_neighbors, "max_neighbors", 1))
-        index, valid, sq_distance = self.index[:, :width], self.valid[:, :width], self.sq_distance[:, :width]
+        valid, sq_distance = self.valid[:, :width], self.sq_distance[:, :width]
         if radius is not None:
-            if isinstance(radius, Tensor):
-                expect(radius.shape == (len(self),), "radius", f"a number or one per point ({len(self)},)", radius)
-                limit = (radius * radius)[:, None].to(sq_distance)
-            else:
-                limit = torch.as_tensor(positive(radius, "radius") ** 2).to(sq_distance)
-            valid = valid & (sq_distance < limit)
-        return Neighborhoods(index, valid, sq_distance)
+            radius = self._checked_radius(radius)
+            square = (radius * radius)[:, None] if isinstance(radius, Tensor) else torch.as_tensor(radius**2)
+            valid = valid & (sq_distance < square.to(sq_distance))
+        return Neighborhoods(self.index[:, :width], valid, sq_distance, _smaller(self.radius, radius))
 
     def trimmed(self) -> Neighborhoods:
         """The same neighborhoods without the slots that no row uses, after ``restrict`` most of them.
 
         Reads one number from the device.
         """
-        width = max(1, int(self.counts().max())) if len(self) > 0 else 1
-        return Neighborhoods(self.index[:, :width], self.valid[:, :width], self.sq_distance[:, :width])
+        return self.restrict(max_neighbors=max(1, int(self.counts().max())) if len(self) > 0 else 1)
+
+    def _checked_radius(self, radius: float | Tensor) -> float | Tensor:
+        if not isinstance(radius, Tensor):
+            return positive(radius, "radius")
+        expect(radius.shape == (len(self),), "radius", f"a number or one per point ({len(self)},)", radius)
+        return radius
+
+
+def _smaller(one: float | Tensor | None, other: float | Tensor | None) -> float | Tensor | None:
+    """The smaller of two radii, point by point."""
+    if one is None or other is None:
+        return other if one is None else one
+    if isinstance(one, Tensor):
+        return torch.minimum(one, other) if isinstance(other, Tensor) else one.clamp(max=other)
+    return other.clamp(max=one) if isinstance(other, Tensor) else min(one, other)

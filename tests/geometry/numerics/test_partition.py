@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,5 +23,5 @@ def test_runs_cover_all_items_in_order_and_fit(costs, budget, padded):
 @given(COSTS, st.integers(1, 100), st.booleans())
 def test_no_run_could_take_the_next_item(costs, budget, padded):
     runs = partition(costs, budget, padded=padded)
-    for run, following in zip(runs, runs[1:], strict=False):
+    for run, following in pairwise(runs):
         assert cost_of(costs[run.start : following.start + 1], padded) > budget
