@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.records import Fpfh, Pcfh
 from torchreg.errors import expect
 from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
@@ -16,9 +17,11 @@ from torchreg.nn.fuse import Fuse
 from torchreg.nn.precision import full_precision
 from torchreg.nn.soft_match import SoftMatch
 from torchreg.nn.weighted_kabsch import WeightedKabsch
-from torchreg.registration.describe import downsample, oriented, per_point
-from torchreg.registration.pair_options import options_of_pairs
-from torchreg.types import Clouds, Features, RegistrationOptions, SoftCorrespondences
+from torchreg.registration.describe import Description, downsample, oriented, support_of
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.plan import options_of_pairs
+from torchreg.registration.spacing import derive_options
+from torchreg.types import Clouds, Features, SoftCorrespondences
 
 
 class SoftRegistration(NamedTuple):
@@ -50,14 +53,15 @@ class Register(nn.Module):
     Args:
         options: lengths and numbers of neighbors in meters (voxels, supports, inlier threshold); ``None`` derives them
             from every pair (``derive_options``). Solver, effort and what concerns matches and hypotheses are not read.
-        descriptors: ``FPFH`` and ``PCFH`` modules in the order of their blocks; ``None``: soft ones, FPFH and, unless
-            options leave color out, PCFH as options say.
-        fuse: ``None``: weights of 1 to begin with, or the options' ``color_weights``, and their ``root``.
+        descriptors: ``FPFH`` and ``PCFH`` modules in the order of their blocks; ``None``: soft ones as the options'
+            records say, FPFH and PCFH without options. The support of a module is that of the record of its kind in
+            the options; where there is none, of the first record.
+        fuse: ``None``: weights of 1 to begin with, or the options' ``weights``, and their ``root``.
         match: ``None``: ``SoftMatch()``, dual softmax.
         solve: ``None``: ``WeightedKabsch(rounds=5)``. A scale of its own holds; else the inlier threshold.
 
     Raises:
-        ValueError: no descriptors, or options with another color block than ``"pcfh"`` and none given.
+        ValueError: no descriptors, or options with another one than ``Fpfh`` and ``Pcfh`` and none given.
 
     Example:
         >>> import torchreg as tr
@@ -81,9 +85,10 @@ class Register(nn.Module):
         self.descriptors = nn.ModuleList(_descriptors_of(options) if descriptors is None else descriptors)
         count = len(self.descriptors)
         expect(count > 0, "descriptors", "at least one", descriptors)
-        weights = (1.0, *options.color_weights) if options is not None and descriptors is None else (1.0,) * count
+        weights = options.weights if options is not None and descriptors is None else (1.0,) * count
         root = 0.0 if options is None else options.root
-        self.equalize = Equalize() if options is not None and options.equalization == "joint" else None
+        joint = options is not None and any(record.is_pairwise for record in options.descriptors)
+        self.equalize = Equalize() if joint else None
         self.fuse = Fuse(weights, root=root) if fuse is None else fuse
         self.match = SoftMatch() if match is None else match
         self.solve = WeightedKabsch(rounds=5) if solve is None else solve
@@ -105,53 +110,63 @@ class Register(nn.Module):
         """
         expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
         expect(len(source) > 0, "source", "at least one cloud", len(source))
-        per_pair = self._options_of(source, target)
-        if any(option.voxel_size is not None for option in per_pair):  # means over voxels pass no gradients on
+        given = derive_options(source.detach(), target.detach()) if self.options is None else self.options
+        per_pair = options_of_pairs(given, len(source))
+        voxels = [option.voxel_size for option in per_pair]
+        if any(voxel is not None for voxel in voxels):  # means over voxels pass no gradients on
             source, target = source.detach(), target.detach()
-        source, target = downsample(source, per_pair), downsample(target, per_pair)
+        source, target = downsample(source, voxels), downsample(target, voxels)
         joint = (None, None) if self.equalize is None else self.equalize.joint(source, target)
         source, source_features = self._described(source, per_pair, joint[0])
         target, target_features = self._described(target, per_pair, joint[1])
         matches = self.match(source_features, target_features)
         scale = None
         if self.solve.rounds > 0 and self.solve.scale is None:
-            scale = torch.tensor([option.ransac.inlier_threshold for option in per_pair])
+            scale = torch.tensor([option.inlier_threshold for option in per_pair])
         T = self.solve(source, target, matches, scale=scale)
         return SoftRegistration(T, matches, source, target, source_features, target_features)
-
-    def _options_of(self, source: Clouds, target: Clouds) -> tuple[RegistrationOptions, ...]:
-        """Lengths of every pair; color exactly where a descriptor reads it, so that supports are wide enough."""
-        per_pair = options_of_pairs(source.detach(), target.detach(), self.options, "plain", None)
-        colored = any(isinstance(module, PCFH) for module in self.descriptors)
-        names, weights = (("pcfh",), (1.0,)) if colored else ((), ())
-        return tuple(replace(option, color=names, color_weights=weights) for option in per_pair)
 
     def _described(
         self, cloud: Clouds, options: Sequence[RegistrationOptions], values: Tensor | None
     ) -> tuple[Clouds, Features]:
-        cloud, near = oriented(cloud, options)
-        support = near.restrict(
-            per_point(cloud, options, lambda option: option.feature_radius), options[0].feature_max_neighbors
-        )
-        color_support = near.restrict(per_point(cloud, options, lambda option: option.color_radius))
-        blocks = [
-            module(cloud, color_support, values=values) if isinstance(module, PCFH) else module(cloud, support)
-            for module in self.descriptors
+        descriptions = [
+            Description(
+                voxel_size=option.voxel_size,
+                normal_radius=option.normal_radius,
+                normal_max_neighbors=option.normal_max_neighbors,
+                descriptors=tuple(_record_of(module, option) for module in self.descriptors),
+            )
+            for option in options
         ]
+        cloud, near = oriented(cloud, descriptions)
+        blocks = []
+        for number, module in enumerate(self.descriptors):
+            support = support_of(cloud, near, [description.descriptors[number] for description in descriptions])
+            colors = {"values": values} if isinstance(module, PCFH) else {}
+            blocks.append(module(cloud, support, **colors))
         return cloud, self.fuse(*blocks)
+
+
+def _record_of(module: nn.Module, options: RegistrationOptions) -> Descriptor:
+    """The record whose support a module has."""
+    kind = Pcfh if isinstance(module, PCFH) else Fpfh
+    return next((record for record in options.descriptors if isinstance(record, kind)), options.descriptors[0])
 
 
 def _descriptors_of(options: RegistrationOptions | None) -> list[FPFH | PCFH]:
     if options is None:
         return [FPFH(), PCFH()]
-    expect(set(options.color) <= {"pcfh"}, "options.color", "('pcfh',) or ()", options.color)
-    found: list[FPFH | PCFH] = [FPFH()]
-    for _ in options.color:
-        color = PCFH(
-            bins=options.color_bins,
-            channels=options.color_channels,
-            equalization="cloud" if options.equalization == "joint" else options.equalization,
-            saturation_weighting=options.saturation_weighting,
-        )
-        found.append(color)
-    return found
+    modules: list[FPFH | PCFH] = []
+    for record in options.descriptors:
+        if isinstance(record, Pcfh):
+            color = PCFH(
+                bins=record.bins,
+                channels=record.channels,
+                equalization="cloud" if record.is_pairwise else record.equalization,
+                saturation_weighting=record.saturation_weighting,
+            )
+            modules.append(color)
+        else:
+            expect(isinstance(record, Fpfh), "options.descriptors", "Fpfh and Pcfh", record)
+            modules.append(FPFH(mode=record.mode) if isinstance(record, Fpfh) else FPFH())
+    return modules

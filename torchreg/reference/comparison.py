@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchreg.metrics import PoseErrors
 from torchreg.reference.descriptors import DescriptorDifference
-from torchreg.types import RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,12 +14,14 @@ import torch
 
 from torchreg.errors import expect, one_of
 from torchreg.open3d_loader import load_open3d
-from torchreg.reference.pair import FEATURES, Found, register_pair
+from torchreg.reference.pair import FEATURES, PairOutcome, register_pair
 from torchreg.reference.stages import estimate_normals, evaluate, fpfh, neighborhoods, voxel_downsample
 from torchreg.registration import derive_options
 from torchreg.registration.inspect import notes_on, refuse, set_aside
-from torchreg.registration.stopwatch import Stopwatch
-from torchreg.types import Clouds, Correspondences, HypothesisCounts, RegistrationOptions, RegistrationResult
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.plan import options_of_pairs
+from torchreg.registration.stopwatch import stopwatch
+from torchreg.types import Clouds, Correspondences, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import offsets_of
 
 __all__ = ["estimate_normals", "evaluate", "fpfh", "neighborhoods", "register", "voxel_downsample"]
@@ -60,73 +62,55 @@ def register(
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     one_of(features, "features", FEATURES)
     o3d = load_open3d()
-    watch = Stopwatch()
     source, target = source.to("cpu"), target.to("cpu")
     refused = refuse(source, target)
-    per_pair = _options_of_pairs(set_aside(source, refused), set_aside(target, refused), options)
-    watch.lap("options")
-    pairs = zip(source.unpack(), target.unpack(), per_pair, refused, strict=True)
-    found = []
-    for one, other, option, defect in pairs:
-        if defect is not None:
-            found.append(Found(one, other, defect))
-            continue
-        o3d.utility.random.seed(seed)
-        found.append(register_pair(one, other, option, features, watch))
+    outcomes = []
+    with stopwatch() as seconds:
+        if options is None:
+            options = derive_options(set_aside(source, refused), set_aside(target, refused))
+        per_pair = options_of_pairs(options, len(source))
+        for one, other, option, failure in zip(source.unpack(), target.unpack(), per_pair, refused, strict=True):
+            if failure is not None:
+                outcomes.append(PairOutcome(one, other, failure))
+                continue
+            o3d.utility.random.seed(seed)
+            outcomes.append(register_pair(one, other, option, features))
     what = "on FPFH alone" if features == "fpfh" else "matches and RANSAC, on torchreg's features"
-    said = f"by Open3D {o3d.__version__}, {what}"
+    origin = f"by Open3D {o3d.__version__}, {what}"
     remarks = notes_on(source, target, per_pair)
-    notes = tuple((said, *more, *one.notes) for more, one in zip(remarks, found, strict=True))
-    return _collect(source, target, found, per_pair, notes, _by_stage(watch))
-
-
-def _options_of_pairs(
-    source: Clouds, target: Clouds, options: RegistrationOptions | Sequence[RegistrationOptions] | None
-) -> tuple[RegistrationOptions, ...]:
-    if options is None:
-        return derive_options(source, target)
-    per_pair = (options,) * len(source) if isinstance(options, RegistrationOptions) else tuple(options)
-    expect(len(per_pair) == len(source), "options", f"one for all or one per pair ({len(source)})", len(per_pair))
-    return per_pair
-
-
-def _by_stage(watch: Stopwatch) -> tuple[tuple[str, float], ...]:
-    """Seconds of every stage, summed over the pairs, in the order in which they first came."""
-    total: dict[str, float] = {}
-    for name, seconds in watch.laps():
-        total[name] = total.get(name, 0.0) + seconds
-    return tuple(total.items())
+    notes = tuple((origin, *more, *outcome.notes) for more, outcome in zip(remarks, outcomes, strict=True))
+    return _collect(source, target, outcomes, per_pair, notes, tuple(seconds.items()))
 
 
 def _collect(
     source: Clouds,
     target: Clouds,
-    found: list[Found],
+    outcomes: list[PairOutcome],
     options: tuple[RegistrationOptions, ...],
     notes: tuple[tuple[str, ...], ...],
     seconds: tuple[tuple[str, float], ...],
 ) -> RegistrationResult:
-    empty = Found(source, target)
-    if found:
-        source = Clouds.pack([replace(one.source, normals=None) for one in found])
-        target = Clouds.pack([replace(one.target, normals=None) for one in found])
+    empty = PairOutcome(source, target)
+    if outcomes:
+        source = Clouds.pack([replace(one.source, normals=None) for one in outcomes])
+        target = Clouds.pack([replace(one.target, normals=None) for one in outcomes])
     first = torch.stack([source.offsets, target.offsets], dim=1)  # (B+1, 2)
-    matches = torch.cat([empty.matches, *(one.matches + at for one, at in zip(found, first[:-1], strict=True))])
+    matches = torch.cat([empty.matches, *(one.matches + at for one, at in zip(outcomes, first[:-1], strict=True))])
     return RegistrationResult(
-        T_target_source=torch.stack([one.T for one in found]) if found else torch.zeros(0, 4, 4, dtype=torch.float64),
-        inliers=torch.cat([empty.inliers, *(one.inliers for one in found)]),
-        fitness=torch.tensor([one.fitness for one in found], dtype=torch.float64),
-        inlier_rmse=torch.tensor([one.inlier_rmse for one in found], dtype=torch.float64),
-        success=torch.tensor([one.failure is None for one in found], dtype=torch.bool),
-        failure=tuple(one.failure for one in found),
-        hypotheses=HypothesisCounts(*torch.full((3, len(found)), -1).unbind(0)),
+        T_target_source=torch.stack([one.T for one in outcomes]) if outcomes else torch.zeros(0, 4, 4, dtype=torch.float64),
+        inliers=torch.cat([empty.inliers, *(one.inliers for one in outcomes)]),
+        fitness=torch.tensor([one.fitness for one in outcomes], dtype=torch.float64),
+        inlier_rmse=torch.tensor([one.inlier_rmse for one in outcomes], dtype=torch.float64),
+        success=torch.tensor([one.failure is None for one in outcomes], dtype=torch.bool),
+        failure=tuple(one.failure for one in outcomes),
+        hypotheses=HypothesisCounts(*torch.full((3, len(outcomes)), -1).unbind(0)),
         source=source,
         target=target,
         correspondences=Correspondences(
             matches[:, 0].contiguous(),
             matches[:, 1].contiguous(),
-            offsets_of(len(one.matches) for one in found),
-            torch.cat([empty.score, *(one.score for one in found)]),
+            offsets_of(len(one.matches) for one in outcomes),
+            torch.cat([empty.score, *(one.score for one in outcomes)]),
         ),
         options=options,
         notes=notes,

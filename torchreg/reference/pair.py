@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -10,12 +10,14 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.open3d_loader import load_open3d
+from torchreg.reference import stages
 from torchreg.reference.legacy import feature, point_cloud, rows
-from torchreg.reference.stages import estimate_normals, fpfh, voxel_downsample
-from torchreg.registration.describe import color_of_pairs, describe, fused, oriented
-from torchreg.registration.stopwatch import Stopwatch
-from torchreg.solvers.checks import too_few_matches
-from torchreg.types import Clouds, Failure, Features, RegistrationOptions
+from torchreg.registration.candidates import fused, recipes_of
+from torchreg.registration.describe import describe_thin, description_of
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.stopwatch import stage
+from torchreg.solvers.batch import too_few_matches
+from torchreg.types import Clouds, Failure, Features
 
 FEATURES = ("fpfh", "fused")
 MUTUAL_SHARE = 0.1
@@ -23,7 +25,7 @@ MUTUAL_SHARE = 0.1
 
 
 @dataclass(eq=False)
-class Found:
+class PairOutcome:
     """One pair's share of a result.
 
     Attributes:
@@ -50,91 +52,99 @@ class Found:
     notes: tuple[str, ...] = ()
 
 
-def register_pair(
-    source: Clouds, target: Clouds, options: RegistrationOptions, features: str, watch: Stopwatch
-) -> Found:
-    """Register one cloud to another with one of ``FEATURES``; the watch gets a lap per stage."""
-    if options.voxel_size is not None:
-        source, target = (voxel_downsample(cloud, options.voxel_size) for cloud in (source, target))
-    watch.lap("downsample")
-    if features == "fused":
-        left, right = _fused(source, target, options, watch)
-    else:
-        radius, most = options.normal_radius, options.normal_max_neighbors
-        source, target = (estimate_normals(cloud, radius, most) for cloud in (source, target))
-        watch.lap("neighbors and normals")
-        radius, most = options.feature_radius, options.feature_max_neighbors
-        left, right = (fpfh(cloud, radius, most) for cloud in (source, target))
-        watch.lap("descriptors")
-    found = Found(source, target)
-    found.matches, found.notes = _match(left, right, everything=features == "fpfh")
-    difference = left.values[found.matches[:, 0]].double() - right.values[found.matches[:, 1]].double()
-    found.score = difference.norm(dim=1)
-    watch.lap("matching")
-    _ransac(found, source, target, options)
-    watch.lap("hypotheses")
-    return found
+def register_pair(source: Clouds, target: Clouds, options: RegistrationOptions, features: str) -> PairOutcome:
+    """Register one cloud to another with one of ``FEATURES``."""
+    source, target = _downsampled(source, target, options)
+    describe = _by_torchreg if features == "fused" else _by_open3d
+    left, right = describe(source, target, options)
+    outcome = PairOutcome(source, target)
+    _match(outcome, left, right, everything=features == "fpfh")
+    _ransac(outcome, options)
+    return outcome
 
 
-def _fused(source: Clouds, target: Clouds, options: RegistrationOptions, watch: Stopwatch) -> tuple[Features, Features]:
+@stage("downsample")
+def _downsampled(source: Clouds, target: Clouds, options: RegistrationOptions) -> tuple[Clouds, Clouds]:
+    if options.voxel_size is None:
+        return source, target
+    return stages.voxel_downsample(source, options.voxel_size), stages.voxel_downsample(target, options.voxel_size)
+
+
+def _by_torchreg(source: Clouds, target: Clouds, options: RegistrationOptions) -> tuple[Features, Features]:
     """What ``torchreg.register`` matches."""
-    source, source_near = oriented(source, [options])
-    target, target_near = oriented(target, [options])
-    watch.lap("neighbors and normals")
-    source_color, target_color = color_of_pairs(source, target, [options])
-    color = options.color if source_color is not None else ()
-    left = describe(source, source_near, [options], source_color, color)
-    right = describe(target, target_near, [options], target_color, color)
-    watch.lap("descriptors")
-    weights = options.color_weights[: len(color)]
-    return fused(left, color, weights, options.root), fused(right, color, weights, options.root)
+    colored = source.colors is not None and target.colors is not None
+    bare = [replace(cloud, normals=None, colors=cloud.colors if colored else None) for cloud in (source, target)]
+    description = description_of(options, colored=colored)
+    sides = describe_thin(Clouds.pack(bare), [description, description], max_bytes=1 << 28).unpack()
+    recipe = recipes_of(options, colored=colored)[0]
+    return fused(sides[0], recipe, options), fused(sides[1], recipe, options)
 
 
-def _match(source: Features, target: Features, *, everything: bool) -> tuple[Tensor, tuple[str, ...]]:
-    """Mutual matches (M, 2), or one-way ones under Open3D's rule; zero rows count only for ``everything``."""
+def _by_open3d(source: Clouds, target: Clouds, options: RegistrationOptions) -> tuple[Features, Features]:
+    """Open3D's FPFH."""
+    return _fpfh(_with_normals(source, options), options), _fpfh(_with_normals(target, options), options)
+
+
+@stage("neighbors and normals")
+def _with_normals(cloud: Clouds, options: RegistrationOptions) -> Clouds:
+    return stages.estimate_normals(cloud, options.normal_radius, options.normal_max_neighbors)
+
+
+@stage("descriptors")
+def _fpfh(cloud: Clouds, options: RegistrationOptions) -> Features:
+    return stages.fpfh(cloud, options.feature_radius, options.feature_max_neighbors)
+
+
+@stage("matching")
+def _match(outcome: PairOutcome, left: Features, right: Features, *, everything: bool) -> None:
+    """Fill in mutual matches, or one-way ones under Open3D's rule; zero rows count only for ``everything``."""
     registration = load_open3d().pipelines.registration
-    used = [torch.arange(len(f.valid)) if everything else f.valid.nonzero()[:, 0] for f in (source, target)]
+    used = [torch.arange(len(f.valid)) if everything else f.valid.nonzero()[:, 0] for f in (left, right)]
     if min(map(len, used)) == 0:
-        return torch.zeros(0, 2, dtype=torch.int64), ()
-    left, right = (feature(f.values[kept]) for f, kept in zip((source, target), used, strict=True))
-    mutual: Any = registration.correspondences_from_features(left, right, True, 0.0)
-    notes: tuple[str, ...] = ()
+        return
+    one, other = (feature(f.values[kept]) for f, kept in zip((left, right), used, strict=True))
+    mutual: Any = registration.correspondences_from_features(one, other, True, 0.0)
     if len(mutual) < int(MUTUAL_SHARE * len(used[0])):
-        notes = (f"only {len(mutual)} mutual matches for {len(used[0])} source points: Open3D takes one-way matches",)
-        mutual = registration.correspondences_from_features(left, right, False)
+        note = f"only {len(mutual)} mutual matches for {len(used[0])} source points: Open3D takes one-way matches"
+        outcome.notes = (note,)
+        mutual = registration.correspondences_from_features(one, other, False)
     local = rows(mutual).reshape(-1, 2)
-    return torch.stack([used[0][local[:, 0]], used[1][local[:, 1]]], dim=1), notes
+    matches = torch.stack([used[0][local[:, 0]], used[1][local[:, 1]]], dim=1)
+    difference = left.values[matches[:, 0]].double() - right.values[matches[:, 1]].double()
+    outcome.matches, outcome.score = matches, difference.norm(dim=1)
 
 
-def _ransac(found: Found, source: Clouds, target: Clouds, options: RegistrationOptions) -> None:
+@stage("hypotheses")
+def _ransac(outcome: PairOutcome, options: RegistrationOptions) -> None:
     """Fill in what RANSAC finds, or the reason why it found nothing."""
-    o3d, told = load_open3d(), options.ransac
-    found.inliers = torch.zeros(len(found.matches), dtype=torch.bool)
-    if len(found.matches) < told.sample_size:
-        found.failure = too_few_matches(len(found.matches), told.sample_size)
+    o3d, ransac = load_open3d(), options.ransac
+    source, target = outcome.source, outcome.target
+    outcome.inliers = torch.zeros(len(outcome.matches), dtype=torch.bool)
+    if len(outcome.matches) < ransac.sample_size:
+        outcome.failure = too_few_matches(len(outcome.matches), ransac.sample_size)
         return
     registration = o3d.pipelines.registration
-    said = registration.registration_ransac_based_on_correspondence(
+    winner = registration.registration_ransac_based_on_correspondence(
         point_cloud(source),
         point_cloud(target),
-        o3d.utility.Vector2iVector(found.matches.int().numpy()),
-        told.inlier_threshold,
+        o3d.utility.Vector2iVector(outcome.matches.int().numpy()),
+        ransac.inlier_threshold,
         registration.TransformationEstimationPointToPoint(False),
-        told.sample_size,
+        ransac.sample_size,
         [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(told.edge_similarity),
-            registration.CorrespondenceCheckerBasedOnDistance(told.inlier_threshold),
+            registration.CorrespondenceCheckerBasedOnEdgeLength(ransac.edge_similarity),
+            registration.CorrespondenceCheckerBasedOnDistance(ransac.inlier_threshold),
         ],
-        registration.RANSACConvergenceCriteria(told.hypotheses, told.confidence),
+        registration.RANSACConvergenceCriteria(ransac.hypotheses, ransac.confidence),
     )
-    if said.fitness == 0:
-        text = f"no hypothesis left: Open3D kept none of up to {told.hypotheses} samples"
-        found.failure = Failure("no hypothesis", text, {"drawn": told.hypotheses})
+    if winner.fitness == 0:
+        text = f"no hypothesis left: Open3D kept none of up to {ransac.hypotheses} samples"
+        outcome.failure = Failure("no hypothesis", text, {"drawn": ransac.hypotheses})
         return
-    found.fitness, found.inlier_rmse = said.fitness, said.inlier_rmse
-    T = torch.tensor(said.transformation, dtype=torch.float64)
+    outcome.fitness, outcome.inlier_rmse = winner.fitness, winner.inlier_rmse
+    T = torch.tensor(winner.transformation, dtype=torch.float64)
     R, t = T[:3, :3], T[:3, 3]
-    moved = apply_rotation(R, source.points[found.matches[:, 0]].double()) + t
-    apart = (moved - target.points[found.matches[:, 1]].double()).norm(dim=1)
-    found.inliers = apart < told.inlier_threshold
-    found.T = rigid(R, t + target.origin[0] - apply_rotation(R, source.origin[0]))
+    moved = apply_rotation(R, source.points[outcome.matches[:, 0]].double()) + t
+    apart = (moved - target.points[outcome.matches[:, 1]].double()).norm(dim=1)
+    outcome.inliers = apart < ransac.inlier_threshold
+    outcome.T = rigid(R, t + target.origin[0] - apply_rotation(R, source.origin[0]))

@@ -14,10 +14,11 @@ from torchreg.reference.comparison import Comparison, Side
 from torchreg.reference.descriptors import DescriptorDifference, descriptor_differences
 from torchreg.reference.pair import FEATURES
 from torchreg.registration import derive_options
-from torchreg.registration.describe import downsample, oriented
+from torchreg.registration.describe import description_of, downsample, oriented
 from torchreg.registration.inspect import refuse
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
-from torchreg.types import Clouds, Correspondences, RegistrationOptions, RegistrationResult
+from torchreg.types import Clouds, Correspondences, RegistrationResult
 
 _BEFORE = ("options", "downsample")  # stages that torchreg goes through once, for both
 _WARM_UP_POINTS = 500
@@ -66,13 +67,14 @@ def compare(
     options = derive_options(source, target)[0] if options is None else options
     options = replace(options, match_neighbors=1, solver="ransac", effort="plain")
     if features == "fpfh":
-        options = replace(options, color=(), color_weights=())
+        geometry = [each for each in zip(options.descriptors, options.weights, strict=True) if not each[0].needs_colors]
+        options = replace(options, descriptors=[record for record, _ in geometry], weights=[share for _, share in geometry])
     given = source
 
     differences: tuple[DescriptorDifference, ...] = ()
     usable = refuse(source, target)[0] is None
     if usable:
-        source, target = downsample(source, [options]), downsample(target, [options])
+        source, target = (downsample(cloud, [options.voxel_size]) for cloud in (source, target))
         usable = refuse(source, target)[0] is None
     as_they_are = replace(options, voxel_size=None)
     if usable:
@@ -105,7 +107,8 @@ def shared(one: Correspondences, other: Correspondences) -> int:
 
 
 def _describe_both(cloud: Clouds, name: str, options: RegistrationOptions) -> tuple[DescriptorDifference, ...]:
-    with_normals, _ = oriented(cloud, [options])
+    colored = cloud.colors is not None
+    with_normals, _ = oriented(cloud, [description_of(options, colored=colored)])
     return descriptor_differences(with_normals, options.feature_radius, options.feature_max_neighbors, name)
 
 
@@ -133,7 +136,7 @@ def _side(
     T, success = result.T_target_source, bool(result.success[0])
     errors, fit = None, None
     if success:
-        fit = open3d.evaluate(source, target, T, options.ransac.inlier_threshold)
+        fit = open3d.evaluate(source, target, T, options.inlier_threshold)
         if truth is not None:
             errors = pose_errors(given, truth, T[0])
     return Side(

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.stopwatch import stage
 from torchreg.solvers import collect
 from torchreg.solvers.compatibility import judged as judged_sets
 from torchreg.solvers.ransac import judged as judged_samples
-from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
+from torchreg.types import RegistrationResult
 from torchreg.verification import Care, Lengths, Proposed
 from torchreg.verification.verify import verify
 
@@ -16,27 +19,26 @@ CARE = {
     "balanced": Care(poses=10, sample=1000, refined=3, iterations=10),
     "thorough": Care(poses=16, sample=1500, refined=8, iterations=20),
 }
-"""How closely candidates are looked at, by effort; points far apart tell less, so that fast asks for more."""
 
 
+@stage("decision")
 def decide(
-    source: Clouds,
-    target: Clouds,
-    spacings: tuple[Sequence[float], Sequence[float]],
+    source: DescribedClouds,
+    target: DescribedClouds,
     proposed: Sequence[Proposed],
     options: Sequence[RegistrationOptions],
 ) -> RegistrationResult:
-    """The best pose of every pair and the verdict on it; ``spacings`` are those of both sides' points, meters."""
+    """The best pose of every pair and the verdict on it."""
     first = options[0]
     if first.effort == "plain":
         poses = proposed[0].poses
-        if first.solver == "ransac":
+        if first.solver.name == "ransac":
             judged = judged_samples([option.ransac for option in options], poses)
         else:
-            judged = judged_sets([option.ransac.inlier_threshold for option in options])
-        return collect(source, target, proposed[0].matches, poses, judged)
+            judged = judged_sets([option.inlier_threshold for option in options])
+        return collect(source.cloud, target.cloud, proposed[0].matches, poses, judged)
     lengths = [
-        Lengths(option.ransac.inlier_threshold, max(apart))
-        for option, apart in zip(options, zip(*spacings, strict=True), strict=True)
+        Lengths(option.inlier_threshold, max(spacings))
+        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
     ]
-    return verify(source, target, proposed, lengths, CARE[first.effort])
+    return verify(source.cloud, target.cloud, proposed, lengths, CARE[first.effort])

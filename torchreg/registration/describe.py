@@ -1,135 +1,225 @@
-"""From clouds to features, as ``register`` does it: the middle of the pipeline, for both clouds of each pair."""
+"""From clouds to what ``register`` matches: thinned, with normals and descriptors.
+
+    downsample -> neighbors -> estimate_normals -> describe
+
+What comes out of a cloud depends on the cloud and on its ``Description`` alone (where no descriptor is pairwise), so
+a cloud that stands in many pairs is described once, and may be kept for later.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.color import color_values, joint_color_values
-from torchreg.descriptors.contrast import contrast
-from torchreg.descriptors.fpfh import fpfh
-from torchreg.descriptors.fuse import fuse, rooted
-from torchreg.descriptors.learned import shipped_color
-from torchreg.descriptors.pcfh import pcfh
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.errors import expect
-from torchreg.neighborhoods import neighbors
-from torchreg.preprocess import estimate_normals, voxel_downsample
-from torchreg.preprocess.downsample import in_morton_order
-from torchreg.types import Clouds, Features, Neighborhoods, RegistrationOptions
+from torchreg.geometry.numerics.partition import partition
+from torchreg.neighborhoods.search import neighbors
+from torchreg.preprocess.downsample import in_morton_order, voxel_downsample
+from torchreg.preprocess.normals import estimate_normals
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.inspect import facts_of, set_aside, too_wide
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.stopwatch import stage
+from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.lengths import length, without_lengths
 from torchreg.types.packing import spans
 
-Options = Sequence[RegistrationOptions]
+_SLOT_BYTES = 32  # of a neighborhood's slot: index, distance and masks, of the search and of what restricts it
+_SPACING_NEIGHBOR = 4
 
 
-def downsample(cloud: Clouds, options: Options) -> Clouds:
-    """Voxel means where the options of a pair ask for them; all clouds in Z order."""
-    if all(option.voxel_size is None for option in options):
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What one cloud is described with: equal ones give equal clouds the same description.
+
+    Attributes:
+        voxel_size: meters, as in ``RegistrationOptions``.
+        normal_radius: meters, likewise.
+        normal_max_neighbors: likewise.
+        descriptors: in the order of the features.
+    """
+
+    voxel_size: float | None = length(None)
+    normal_radius: float = length()
+    normal_max_neighbors: int
+    descriptors: tuple[Descriptor, ...]
+
+    @property
+    def max_neighbors(self) -> int:
+        """The slots of the one search that serves normals and descriptors."""
+        return max(self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors))
+
+    @property
+    def widest(self) -> float:
+        """Meters, the radius of that search."""
+        return max(self.normal_radius, *(record.radius for record in self.descriptors))
+
+    @property
+    def is_pairwise(self) -> bool:
+        """Whether some descriptor looks at both clouds of a pair."""
+        return any(record.is_pairwise for record in self.descriptors)
+
+
+def description_of(options: RegistrationOptions, *, colored: bool) -> Description:
+    """What the options describe a cloud with; without colors the descriptors that need none.
+
+    Raises:
+        ValueError: no descriptor is left without colors.
+    """
+    records = tuple(record for record in options.descriptors if colored or not record.needs_colors)
+    expect(len(records) > 0, "options.descriptors", "one that needs no colors, for clouds without", options.descriptors)
+    return Description(
+        voxel_size=options.voxel_size,
+        normal_radius=options.normal_radius,
+        normal_max_neighbors=options.normal_max_neighbors,
+        descriptors=records,
+    )
+
+
+def describe_clouds(
+    clouds: Clouds, options: RegistrationOptions | Sequence[RegistrationOptions], *, max_bytes: int = 1 << 28
+) -> DescribedClouds:
+    """Describe clouds for later calls of ``register_described``.
+
+    Args:
+        clouds: B clouds.
+        options: for all of them or one per cloud (which then differ in lengths only), as the pairs will have them.
+        max_bytes: bounds the neighborhoods that are held at once; one cloud's are held in any case. The result does
+            not depend on it.
+
+    Returns:
+        DescribedClouds. A cloud that cannot be registered keeps its facts and has no points. No gradients.
+
+    Raises:
+        ValueError: options that differ in more than lengths, or a descriptor that looks at both clouds of a pair.
+    """
+    per_cloud = [options] * len(clouds) if isinstance(options, RegistrationOptions) else list(options)
+    expect(len(per_cloud) == len(clouds), "options", f"one for all or one per cloud ({len(clouds)})", len(per_cloud))
+    descriptions = [description_of(option, colored=clouds.colors is not None) for option in per_cloud]
+    expect_alike(descriptions)
+    for record in descriptions[0].descriptors if descriptions else ():
+        expect(not record.is_pairwise, "options.descriptors", "descriptors of each cloud by itself", record)
+    facts = facts_of(clouds)
+    defects = [
+        one.defect or too_wide(one, description.voxel_size) for one, description in zip(facts, descriptions, strict=True)
+    ]
+    thin = downsample(set_aside(clouds.detach(), defects), [description.voxel_size for description in descriptions])
+    return replace(describe_thin(thin, descriptions, max_bytes=max_bytes), facts=facts)
+
+
+def describe_thin(thin: Clouds, descriptions: Sequence[Description], *, max_bytes: int) -> DescribedClouds:
+    """Describe clouds that are downsampled already, with the facts of what came; arguments as ``describe_clouds``'.
+
+    Where a descriptor is pairwise, clouds 2 i and 2 i + 1 are those of one pair.
+    """
+    slots = max(description.max_neighbors for description in descriptions)
+    costs = [_SLOT_BYTES * slots * count for count in thin.lengths]
+    groups = partition(costs, max_bytes)
+    if any(description.is_pairwise for description in descriptions):
+        groups = [slice(begin, begin + 2) for begin in range(0, len(thin), 2)]
+    parts = []
+    for group in groups:
+        cloud, near = oriented(thin.select(range(len(thin))[group]), descriptions[group])
+        parts.append(
+            DescribedClouds(
+                cloud=cloud,
+                features=describe(cloud, near, [description.descriptors for description in descriptions[group]]),
+                descriptors=tuple(description.descriptors for description in descriptions[group]),
+                spacing=tuple(_spacings(cloud, near)),
+                facts=facts_of(cloud),
+            )
+        )
+    return DescribedClouds.pack(parts)
+
+
+@stage("downsample")
+def downsample(cloud: Clouds, voxel_sizes: Sequence[float | None]) -> Clouds:
+    """Voxel means of the clouds that have a voxel size, in meters; all clouds in Z order."""
+    if all(voxel_size is None for voxel_size in voxel_sizes):
         return in_morton_order(cloud)
     parts = [
-        in_morton_order(single) if option.voxel_size is None else voxel_downsample(single, option.voxel_size)
-        for single, option in zip(cloud.unpack(), options, strict=True)
+        in_morton_order(single) if voxel_size is None else voxel_downsample(single, voxel_size)
+        for single, voxel_size in zip(cloud.unpack(), voxel_sizes, strict=True)
     ]
     return Clouds.pack(parts)
 
 
-def oriented(cloud: Clouds, options: Options) -> tuple[Clouds, Neighborhoods]:
+@stage("neighbors and normals")
+def oriented(cloud: Clouds, descriptions: Sequence[Description]) -> tuple[Clouds, Neighborhoods]:
     """Clouds with normals, and the neighborhoods that normals and descriptors share."""
-    slots = max(max(option.feature_max_neighbors, option.normal_max_neighbors) for option in options)
-    near = neighbors(cloud, _lengths(options, _widest), slots)
-    normal_near = near.restrict(per_point(cloud, options, lambda o: o.normal_radius), options[0].normal_max_neighbors)
-    return estimate_normals(cloud, normal_near), near
+    widest = torch.tensor([description.widest for description in descriptions], dtype=torch.float64)
+    near = neighbors(cloud, widest, max(description.max_neighbors for description in descriptions))
+    radii = [description.normal_radius for description in descriptions]
+    return estimate_normals(cloud, _support(cloud, near, radii, descriptions[0].normal_max_neighbors)), near
 
 
-_HISTOGRAMS = ("fpfh", "pcfh")  # whose entries are percents; the others are what they are
-
-Described = dict[str, Features]
-"""Descriptors of the points of one side by name, not yet scaled or weighed."""
-
-
+@stage("descriptors")
 def describe(
-    cloud: Clouds, near: Neighborhoods, options: Options, values: Tensor | None, color: Sequence[str]
-) -> Described:
-    """FPFH and the color blocks named; ``values`` are the hue, saturation and value of every point."""
-    first = options[0]
-    support = near.restrict(per_point(cloud, options, lambda o: o.feature_radius), first.feature_max_neighbors)
-    found = {"fpfh": fpfh(cloud, support)}
-    if values is None or not color:
-        return found
-    radius = per_point(cloud, options, lambda o: o.color_radius)
-    color_support = near.restrict(radius)
-    for block in color:
-        if block == "contrast":
-            found[block] = contrast(cloud, color_support, radius)
-        elif block == "learned":
-            found[block] = shipped_color(cloud, color_support, radius)
-        else:
-            found[block] = pcfh(
-                cloud,
-                color_support,
-                bins=first.color_bins,
-                channels=first.color_channels,
-                saturation_weighting=first.saturation_weighting,
-                values=values,
-            )
-    return found
+    cloud: Clouds, near: Neighborhoods, descriptors: Sequence[Sequence[Descriptor]]
+) -> tuple[Features, ...]:
+    """Features of every descriptor, not yet scaled or weighed.
+
+    Args:
+        cloud: B clouds with normals.
+        near: neighborhoods at least as wide as every support.
+        descriptors: of every cloud, the same but for their lengths.
+    """
+    return tuple(_described(cloud, near, records) for records in zip(*descriptors, strict=True))
 
 
-def fused(described: Described, color: Sequence[str], weights: Sequence[float], root: float = 0.0) -> Features:
-    """FPFH and these color blocks with these weights beside FPFH's 1, as one vector; histograms rooted so far."""
-    blocks = [
-        replace(described[name], values=rooted(described[name].values, root))
-        if root > 0 and name in _HISTOGRAMS
-        else described[name]
-        for name in ("fpfh", *color)
-    ]
-    return fuse(*blocks, weights=(1.0, *weights))
+def support_of(cloud: Clouds, near: Neighborhoods, records: Sequence[Descriptor]) -> Neighborhoods:
+    """The support of a descriptor, of which every cloud has a record."""
+    return _support(cloud, near, [record.radius for record in records], records[0].max_neighbors)
 
 
-def color_of_pairs(source: Clouds, target: Clouds, options: Options) -> tuple[Tensor, Tensor] | tuple[None, None]:
-    """Hue, saturation and value of both sides, equalized as asked; nothing where no color is to be used."""
-    first = options[0]
-    if not first.color or source.colors is None or target.colors is None:
-        return None, None
-    if first.equalization == "joint":
-        return joint_color_values(source, target)
-    return color_values(source, first.equalization), color_values(target, first.equalization)
-
-
-def per_point(cloud: Clouds, options: Options, read: Callable[[RegistrationOptions], float]) -> float | Tensor:
-    """A length as one number where all pairs agree, else one per point (P,)."""
-    values = _lengths(options, read)
-    if bool((values == values[0]).all()):
-        return float(values[0])
-    counts = torch.tensor([end - begin for begin, end in spans(cloud.offsets)])
-    return values.repeat_interleave(counts).to(cloud.device)
-
-
-def expect_alike(options: Options) -> None:
+def expect_alike(options: Sequence[RegistrationOptions] | Sequence[Description]) -> None:
     """Raise ``ValueError`` where options of one batch differ in more than lengths."""
     for option in options[1:]:
         alike = without_lengths(option) == without_lengths(options[0])
         expect(alike, "options", "options that differ in lengths only within one batch", option)
 
 
-def without_lengths(options: RegistrationOptions) -> RegistrationOptions:
-    """The options with every length at one meter: what pairs of one batch must share."""
-    return replace(
-        options,
-        voxel_size=None,
-        normal_radius=1.0,
-        feature_radius=1.0,
-        color_radius=1.0,
-        ransac=replace(options.ransac, inlier_threshold=1.0),
-    )
+def _described(cloud: Clouds, near: Neighborhoods, records: Sequence[Descriptor]) -> Features:
+    """Features of one descriptor, of which every cloud has a record."""
+    support, first = support_of(cloud, near, records), records[0]
+    if first.is_batched or all(record == first for record in records):
+        return _checked(first.describe(cloud, support), cloud, first)
+    parts = [
+        _checked(record.describe(single, support.of_rows(begin, end)), single, record)
+        for single, record, (begin, end) in zip(cloud.unpack(), records, spans(cloud.offsets), strict=True)
+    ]
+    values, valid = torch.cat([part.values for part in parts]), torch.cat([part.valid for part in parts])
+    return Features(values, cloud.offsets, parts[0].blocks, valid)
 
 
-def _widest(options: RegistrationOptions) -> float:
-    color = options.color_radius if options.color else 0.0
-    return max(options.normal_radius, options.feature_radius, color)
+def _checked(features: Features, cloud: Clouds, record: Descriptor) -> Features:
+    name = f"{type(record).__name__}.describe"
+    expect(isinstance(features, Features), name, "Features", features)
+    expect(torch.equal(features.offsets, cloud.offsets), name, f"a row for each of {len(cloud.points)} points", features)
+    expect(features.values.dtype == cloud.points.dtype, name, f"values in {cloud.points.dtype}", features.values)
+    return features
 
 
-def _lengths(options: Options, read: Callable[[RegistrationOptions], float]) -> Tensor:
-    return torch.tensor([read(option) for option in options], dtype=torch.float64)
+def _support(cloud: Clouds, near: Neighborhoods, radii: Sequence[float], max_neighbors: int) -> Neighborhoods:
+    """The neighborhoods cut to one radius per cloud, meters."""
+    if all(radius == radii[0] for radius in radii):
+        return near.restrict(radii[0], max_neighbors)
+    lengths = torch.tensor(cloud.lengths)
+    per_point: Tensor = torch.tensor(radii, dtype=torch.float64).repeat_interleave(lengths).to(cloud.device)
+    return near.restrict(per_point, max_neighbors)
+
+
+def _spacings(cloud: Clouds, near: Neighborhoods) -> list[float]:
+    """Median distance to the fourth nearest other point of every cloud, meters, of the points that have as many."""
+    spacings = []
+    slot = min(_SPACING_NEIGHBOR, near.index.shape[1] - 1)
+    for begin, end in spans(cloud.offsets):
+        square = near.sq_distance[begin:end, slot][near.valid[begin:end, slot]]
+        median = float(square.double().sqrt().median()) if len(square) > 0 else math.nan
+        spacings.append(median if median > 0 else 1e-9)
+    return spacings

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.errors import expect
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features
+from torchreg.types.lengths import without_lengths
 from torchreg.types.packing import offsets_of, spans
 
 
@@ -19,24 +22,26 @@ class DescribedClouds:
 
     Attributes:
         cloud: downsampled, in Z order, with normals.
-        descriptors: of its points by name ("fpfh", "contrast", "pcfh"), not yet scaled or weighed; all have the
-            offsets of ``cloud``.
+        features: of every descriptor, not yet scaled or weighed; all have the offsets of ``cloud``.
+        descriptors: of every cloud the records that described it, in the order of ``features``.
         spacing: B numbers, meters, the median distance to the fourth nearest other point.
         facts: of the B clouds as they were given.
     """
 
     cloud: Clouds
-    descriptors: dict[str, Features]
+    features: tuple[Features, ...]
+    descriptors: tuple[tuple[Descriptor, ...], ...]
     spacing: tuple[float, ...]
     facts: tuple[CloudFacts, ...]
 
     def __post_init__(self) -> None:
-        for name in ("spacing", "facts"):
+        for name in ("descriptors", "spacing", "facts"):
             count = len(getattr(self, name))
             expect(count == len(self.cloud), name, f"one per cloud ({len(self.cloud)})", count)
-        for name, features in self.descriptors.items():
-            fits = torch.equal(features.offsets, self.cloud.offsets)
-            expect(fits, f"descriptors[{name!r}]", "the offsets of the cloud", features.offsets)
+        for features in self.features:
+            expect(torch.equal(features.offsets, self.cloud.offsets), "features", "the offsets of the cloud", features)
+        for records in self.descriptors:
+            expect(len(records) == len(self.features), "descriptors", f"one per block ({len(self.features)})", records)
 
     def __len__(self) -> int:
         """The number of clouds, B."""
@@ -44,22 +49,30 @@ class DescribedClouds:
 
     @staticmethod
     def pack(parts: Sequence[DescribedClouds]) -> DescribedClouds:
-        """Join batches into one; all must have the same descriptors.
+        """Join batches into one; all must have the same descriptors, but for their lengths.
 
         Raises:
             ValueError: nothing to pack, or other descriptors in one part than in another.
         """
         expect(len(parts) > 0, "parts", "at least one", parts)
-        names = list(parts[0].descriptors)
-        for part in parts:
-            expect(list(part.descriptors) == names, "descriptors", f"{names} in all parts", list(part.descriptors))
         if len(parts) == 1:
             return parts[0]
+        kinds = {tuple(map(without_lengths, records)) for part in parts for records in part.descriptors}
+        expect(len(kinds) <= 1, "parts", "the same descriptors in all", kinds)
         cloud = Clouds.pack([part.cloud for part in parts])
         return DescribedClouds(
             cloud=cloud,
-            descriptors={name: _joined([part.descriptors[name] for part in parts], cloud) for name in names},
-            spacing=tuple(apart for part in parts for apart in part.spacing),
+            features=tuple(
+                replace(
+                    blocks[0],
+                    values=torch.cat([block.values for block in blocks]),
+                    valid=torch.cat([block.valid for block in blocks]),
+                    offsets=cloud.offsets,
+                )
+                for blocks in zip(*(part.features for part in parts), strict=True)
+            ),
+            descriptors=tuple(records for part in parts for records in part.descriptors),
+            spacing=tuple(spacing for part in parts for spacing in part.spacing),
             facts=tuple(facts for part in parts for facts in part.facts),
         )
 
@@ -68,7 +81,16 @@ class DescribedClouds:
         return [
             DescribedClouds(
                 cloud=cloud,
-                descriptors={name: _part(item, begin, end) for name, item in self.descriptors.items()},
+                features=tuple(
+                    replace(
+                        block,
+                        values=block.values[begin:end],
+                        valid=block.valid[begin:end],
+                        offsets=offsets_of([end - begin]),
+                    )
+                    for block in self.features
+                ),
+                descriptors=self.descriptors[b : b + 1],
                 spacing=self.spacing[b : b + 1],
                 facts=self.facts[b : b + 1],
             )
@@ -77,58 +99,31 @@ class DescribedClouds:
 
     def emptied(self) -> DescribedClouds:
         """The same clouds without points: what takes the place of a pair that is refused."""
-        none, offsets = (
-            torch.zeros(0, dtype=torch.int64, device=self.cloud.device),
-            torch.zeros_like(self.cloud.offsets),
-        )
-        return replace(
-            self,
-            cloud=self.cloud.rows(none, offsets),
-            descriptors={
-                name: replace(item, values=item.values[:0], valid=item.valid[:0], offsets=offsets)
-                for name, item in self.descriptors.items()
-            },
-        )
+        return self._mapped(lambda rows: rows[:0], offsets=torch.zeros_like(self.cloud.offsets))
 
     def clone(self) -> DescribedClouds:
         """A copy in memory of its own."""
-        cloud = self.cloud
+        return self._mapped(Tensor.clone)
+
+    def to(self, device: torch.device | str) -> DescribedClouds:
+        """Copy to a device."""
+        moved = self._mapped(lambda rows: rows.to(device))
+        return replace(moved, cloud=self.cloud.to(device))
+
+    def _mapped(self, change: Callable[[Tensor], Tensor], offsets: Tensor | None = None) -> DescribedClouds:
+        """With every tensor of rows changed by a function."""
+        cloud, offsets = self.cloud, self.cloud.offsets if offsets is None else offsets
         return replace(
             self,
             cloud=replace(
                 cloud,
-                points=cloud.points.clone(),
-                colors=None if cloud.colors is None else cloud.colors.clone(),
-                normals=None if cloud.normals is None else cloud.normals.clone(),
+                points=change(cloud.points),
+                offsets=offsets,
+                colors=None if cloud.colors is None else change(cloud.colors),
+                normals=None if cloud.normals is None else change(cloud.normals),
             ),
-            descriptors={
-                name: replace(item, values=item.values.clone(), valid=item.valid.clone())
-                for name, item in self.descriptors.items()
-            },
+            features=tuple(
+                replace(block, values=change(block.values), valid=change(block.valid), offsets=offsets)
+                for block in self.features
+            ),
         )
-
-    def to(self, device: torch.device | str) -> DescribedClouds:
-        """Copy to a device."""
-        return replace(
-            self,
-            cloud=self.cloud.to(device),
-            descriptors={
-                name: replace(item, values=item.values.to(device), valid=item.valid.to(device))
-                for name, item in self.descriptors.items()
-            },
-        )
-
-
-def _part(features: Features, begin: int, end: int) -> Features:
-    return replace(
-        features, values=features.values[begin:end], valid=features.valid[begin:end], offsets=offsets_of([end - begin])
-    )
-
-
-def _joined(parts: Sequence[Features], cloud: Clouds) -> Features:
-    return replace(
-        parts[0],
-        values=torch.cat([part.values for part in parts]),
-        valid=torch.cat([part.valid for part in parts]),
-        offsets=cloud.offsets,
-    )

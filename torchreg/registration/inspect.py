@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import torch
 
-from torchreg.types import Clouds, Failure, RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
+from torchreg.types import Clouds, Failure
 from torchreg.types.packing import offsets_of, spans
 
 _LEAST_POINTS = 4

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchreg.descriptors.learned.shipped import shipped_numbers
-from torchreg.types import RegistrationOptions
+from torchreg.descriptors.records import Fpfh, Learned
+from torchreg.registration.options import RegistrationOptions
 
 PAPER = RegistrationOptions()
 """The paper's parameters (section 4.1), in meters, for scans of buildings: normals 2 m / 30, FPFH 5 m / 100,
@@ -14,8 +15,11 @@ confidence 0.999. Clouds are taken as they come: the paper draws 10,000 points f
 
 _WEIGHT, _ROOT = shipped_numbers()
 
-LEARNED = replace(PAPER, color=("learned",), color_weights=(_WEIGHT,), equalization="none", root=_ROOT)
+LEARNED = replace(PAPER, descriptors=(Fpfh(radius=5.0), Learned(radius=2.0)), weights=(1.0, _WEIGHT), root=_ROOT)
 """The paper's procedure with features whose color block was trained on colored scans (``python bench/sensitivity.py
-ship``): bins, channel weights, the say of every neighbor, the block's weight and the roots of histograms. On scenes
+ship``): bins, channel weights, the weight of every neighbor, the block's weight and the roots of histograms. On scenes
 that training never saw such features beat the paper's fixed rule (README). Lengths are the paper's, in meters; for
-points of spacing s take 2 s, 5 s, 2 s and a threshold of 1.5 s."""
+points of spacing s take ``LEARNED.scaled(s)`` with an inlier threshold of 1.5 s."""
+
+PRESETS = {"paper": PAPER, "learned": LEARNED}
+"""Every preset by its name."""

@@ -1,17 +1,29 @@
-"""The whole pipeline: two batches of clouds in, their transforms out."""
+"""The whole pipeline: two batches of clouds in, their transforms out.
+
+    downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (registration/describe.py)
+    -> fuse -> match_mutual -> solve                             once per set of features (registration/candidates.py)
+    -> weigh, refine by ICP, judge                               (registration/decide.py)
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from torchreg.errors import expect, expect_device
-from torchreg.registration.joined import joined
-from torchreg.registration.match_and_solve import register_described
-from torchreg.registration.pair_options import options_of_pairs
-from torchreg.registration.sides import Sides
-from torchreg.registration.slices import budget, pair_bytes, slices
-from torchreg.registration.stopwatch import Stopwatch
-from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
+from torchreg.errors import expect
+from torchreg.registration.candidates import match, recipes_of, solve
+from torchreg.registration.decide import decide
+from torchreg.registration.describe import description_of, expect_alike
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.inspect import pair_notes, refusal
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.plan import Plan, joined
+from torchreg.registration.stopwatch import stopwatch
+from torchreg.solvers import Solver
+from torchreg.types import Clouds, RegistrationResult, StageCounts
+from torchreg.types.packing import spans
+from torchreg.verification import Proposed
+from torchreg.verification.verify import proposals_of
 
 
 def register(
@@ -20,7 +32,7 @@ def register(
     options: RegistrationOptions | Sequence[RegistrationOptions] | None = None,
     *,
     effort: str | None = None,
-    solver: str | None = None,
+    solver: Solver | str | None = None,
     seed: int = 0,
     max_bytes: int | None = None,
 ) -> RegistrationResult:
@@ -39,8 +51,9 @@ def register(
             them from the spacing of each pair's points (``derive_options``); ``PAPER`` has the paper's.
         effort: ``"plain"`` (the paper's procedure and no more), ``"fast"``, ``"balanced"`` or ``"thorough"``, as
             in ``RegistrationOptions``; ``None`` takes the options' own: balanced where they are derived, plain
-            in ``PAPER``.
-        solver: ``"ransac"`` or ``"compatibility"``; ``None`` takes the options' own.
+            in ``PAPER``. Options given keep their lengths; derived ones are half as large again for ``"fast"``.
+        solver: a record such as ``RansacOptions()``, or its name: then at the options' own inlier threshold.
+            ``None`` takes the options' own.
         seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
@@ -48,7 +61,7 @@ def register(
 
     Returns:
         RegistrationResult with the options, notes and times of the run. A pair that cannot be registered has
-        ``success`` false and says why; the others are not touched by it. No gradients.
+        ``success`` false and its ``failure``; the others are not touched by it. No gradients.
 
     Raises:
         ValueError: different numbers of clouds, or options that do not fit.
@@ -60,19 +73,97 @@ def register(
         >>> result.T_target_source.shape
         torch.Size([1, 4, 4])
     """
-    expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
-    expect(len(source) > 0, "source", "at least one cloud", len(source))
-    expect_device(target.points, "target", source.device)
-    expect(target.points.dtype == source.points.dtype, "target", f"points in {source.points.dtype}", target.points)
-    most = budget(max_bytes, source.device)
-    watch = Stopwatch()
-    sides = Sides(source.detach(), target.detach())
-    per_pair = options_of_pairs(*sides.usable(), options, effort, solver, sides.numbers)
-    watch.lap("options")
+    with stopwatch() as seconds:
+        plan = Plan(source, target, options, effort=effort, solver=solver, max_bytes=max_bytes)
+        results = [
+            _find_poses(*plan.described(pairs), plan.options[pairs], colored=plan.colored, seed=seed)
+            for pairs in plan.slices
+        ]
+    return joined(results, seconds=seconds)
 
-    sides.thin(per_pair, watch)
-    results = []
-    for rows in slices([pair_bytes(size, per_pair[0]) for size in sides.sizes()], most):
-        described = sides.described(rows, watch, most)
-        results.append(register_described(*described, per_pair[rows], seed=seed, watch=watch))
-    return joined(results, seconds=watch.laps())
+
+def register_described(
+    source: DescribedClouds, target: DescribedClouds, options: Sequence[RegistrationOptions], *, seed: int = 0
+) -> RegistrationResult:
+    """Find the transform of every pair of described clouds: the second half of ``register``, with its results.
+
+    Args:
+        source: B clouds.
+        target: B clouds.
+        options: one per pair, complete, differing in lengths only, as both sides were described with.
+        seed: of every random draw.
+
+    Returns:
+        RegistrationResult; as ``register``'s.
+
+    Raises:
+        ValueError: the numbers of clouds or options differ, options differ in more than lengths, or the clouds were
+            described with other descriptors than the options'.
+    """
+    pairs = len(source)
+    expect(len(target) == pairs, "target", f"{pairs} clouds, as the source has", len(target))
+    expect(len(options) == pairs, "options", f"one per pair ({pairs})", len(options))
+    expect(pairs > 0, "source", "at least one cloud", pairs)
+    expect_alike(options)
+    colored = source.cloud.colors is not None and target.cloud.colors is not None
+    for name, side in (("source", source), ("target", target)):
+        for option, described in zip(options, side.descriptors, strict=True):
+            needed = description_of(option, colored=colored).descriptors
+            expect(described == needed, name, f"descriptions by {needed}", described)
+    with stopwatch() as seconds:
+        result = _find_poses(source, target, options, colored=colored, seed=seed)
+    return joined([result], seconds=seconds)
+
+
+def _find_poses(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    options: Sequence[RegistrationOptions],
+    *,
+    colored: bool,
+    seed: int,
+) -> RegistrationResult:
+    """Match, solve and decide for pairs that go together."""
+    facts = list(zip(source.facts, target.facts, strict=True))
+    refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
+    source, target = _without(source, refused), _without(target, refused)
+    proposed = []
+    for recipe in recipes_of(options[0], colored=colored):
+        matches = match(source, target, recipe, options[0])
+        proposed.append(solve(source, target, matches, recipe, options, seed))
+    result = decide(source, target, proposed, options)
+    return replace(
+        result,
+        failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)),
+        options=tuple(options),
+        notes=tuple(pair_notes(*both, option) for both, option in zip(facts, options, strict=True)),
+        stages=_stage_counts(source, target, proposed),
+    )
+
+
+def _without(side: DescribedClouds, refused: Sequence[object]) -> DescribedClouds:
+    """The same clouds, those of refused pairs without points, so that they do not touch the others."""
+    if not any(refused):
+        return side
+    parts = zip(side.unpack(), refused, strict=True)
+    return DescribedClouds.pack([part.emptied() if failure else part for part, failure in parts])
+
+
+def _stage_counts(
+    source: DescribedClouds, target: DescribedClouds, proposed: Sequence[Proposed]
+) -> tuple[StageCounts, ...]:
+    """What each stage of every pair had."""
+    described = [
+        [int(side.features[0].valid[begin:end].sum()) for begin, end in spans(side.cloud.offsets)]
+        for side in (source, target)
+    ]
+    points = (source.cloud.lengths, target.cloud.lengths)
+    return tuple(
+        StageCounts(
+            given=(source.facts[b].points, target.facts[b].points),
+            points=(points[0][b], points[1][b]),
+            described=(described[0][b], described[1][b]),
+            proposals=proposals_of(proposed, b),
+        )
+        for b in range(len(source))
+    )

@@ -1,23 +1,44 @@
-"""Times of the stages of one run."""
+"""Times of the stages of one run, counted beside the code that runs them."""
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import ParamSpec, TypeVar
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+_running: ContextVar[dict[str, float] | None] = ContextVar("stages", default=None)
 
 
-class Stopwatch:
-    """Measures wall-clock seconds from lap to lap; laps of the same name add up."""
+@contextmanager
+def stopwatch() -> Iterator[dict[str, float]]:
+    """Collect the wall-clock seconds of every stage that is called within, by its name, in order of their first calls."""
+    seconds: dict[str, float] = {}
+    before = _running.set(seconds)
+    try:
+        yield seconds
+    finally:
+        _running.reset(before)
 
-    def __init__(self) -> None:
-        self._started = time.perf_counter()
-        self._laps: dict[str, float] = {}
 
-    def lap(self, name: str) -> None:
-        """Count the seconds since the last lap under this name."""
-        now = time.perf_counter()
-        self._laps[name] = self._laps.get(name, 0.0) + now - self._started
-        self._started = now
+def stage(name: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """Count the time of a function under this name, where a ``stopwatch`` runs. Stages must not call each other."""
 
-    def laps(self) -> tuple[tuple[str, float], ...]:
-        """(name, seconds), in the order in which the names came first."""
-        return tuple(self._laps.items())
+    def decorate(run: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @functools.wraps(run)
+        def timed(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+            seconds, begin = _running.get(), time.perf_counter()
+            try:
+                return run(*args, **kwargs)
+            finally:
+                if seconds is not None:
+                    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - begin
+
+        return timed
+
+    return decorate

@@ -88,6 +88,14 @@ class Neighborhoods:
         """
         return self.restrict(max_neighbors=max(1, int(self.counts().max())) if len(self) > 0 else 1)
 
+    def of_rows(self, begin: int, end: int) -> Neighborhoods:
+        """The neighborhoods of one cloud of a batch, the rows from ``begin`` to ``end``, with its own row numbers."""
+        valid, radius = self.valid[begin:end], self.radius
+        index = torch.where(valid, self.index[begin:end] - begin, 0)
+        if isinstance(radius, Tensor):
+            radius = radius[begin:end]
+        return Neighborhoods(index, valid, self.sq_distance[begin:end], radius)
+
     def _checked_radius(self, radius: float | Tensor) -> float | Tensor:
         if not isinstance(radius, Tensor):
             return positive(radius, "radius")

@@ -9,15 +9,20 @@ at 10 cm, FPFH at 25 cm and a threshold of 7.5 cm.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect
-from torchreg.neighborhoods import neighbors
-from torchreg.preprocess import voxel_downsample
+from torchreg.descriptors.pcfh import CHANNELS
+from torchreg.descriptors.records import Contrast, Fpfh, Pcfh
+from torchreg.errors import expect, one_of, positive
+from torchreg.neighborhoods.search import neighbors
+from torchreg.preprocess.downsample import voxel_downsample
+from torchreg.registration.options import EFFORTS, RegistrationOptions
 from torchreg.registration.same_clouds import same_clouds
-from torchreg.types import Clouds, RansacOptions, RegistrationOptions
+from torchreg.solvers import CompatibilityOptions
+from torchreg.types import Clouds
 
 MAX_POINTS = 30_000
 """A cloud with more is thinned first."""
@@ -28,6 +33,10 @@ THINNED_POINTS = 12_000
 UNEVEN = 1.5
 """Clouds whose spacings differ by more than this factor are brought to the coarser one."""
 
+COARSER = 1.5
+"""By how much the derived lengths of ``effort="fast"`` exceed those of the others."""
+
+_THRESHOLD_SPACINGS = 1.5  # the inlier threshold
 _SPACING_NEIGHBOR = 4
 _SPACING_SAMPLE = 20_000
 _BISECTIONS = 12
@@ -62,35 +71,37 @@ def spacing(clouds: Clouds) -> Tensor:
     return torch.stack(found) if found else torch.zeros(0, dtype=torch.float64)
 
 
-def derive_options(source: Clouds, target: Clouds) -> tuple[RegistrationOptions, ...]:
+def derive_options(source: Clouds, target: Clouds, *, effort: str = "balanced") -> tuple[RegistrationOptions, ...]:
     """Options for every pair, derived from the spacing of its clouds; color where both have it.
 
     Args:
         source: B clouds.
         target: B clouds. A cloud that stands several times in the batch is looked at once.
+        effort: as in ``RegistrationOptions``; the lengths of ``"fast"`` are half as large again.
 
     Returns:
         One ``RegistrationOptions`` per pair. ``voxel_size`` is set where a cloud has more than 30,000 points
         (the larger one keeps at most 12,000) or the spacings differ by more than a factor of 1.5.
 
     Raises:
-        ValueError: different numbers of clouds.
+        ValueError: different numbers of clouds, or an unknown effort.
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
-    return derive_numbered(source, target, same_clouds([source, target]))
+    return derive_numbered(source, target, same_clouds([source, target]), effort)
 
 
 def derive_numbered(
-    source: Clouds, target: Clouds, numbers: Sequence[Sequence[int]]
+    source: Clouds, target: Clouds, numbers: Sequence[Sequence[int]], effort: str = "balanced"
 ) -> tuple[RegistrationOptions, ...]:
     """As ``derive_options``, for clouds that are numbered already (``same_clouds``)."""
     colored = source.colors is not None and target.colors is not None
     scales: dict[int, CloudScale] = {}
-    for clouds, own in zip((source, target), numbers, strict=True):
-        for number, cloud in zip(own, clouds.unpack(), strict=True):
+    for clouds, own_numbers in zip((source, target), numbers, strict=True):
+        for number, cloud in zip(own_numbers, clouds.unpack(), strict=True):
             scales.setdefault(number, CloudScale(cloud))
     return tuple(
-        options_of_scales(scales[one], scales[other], colored=colored) for one, other in zip(*numbers, strict=True)
+        options_of_scales(scales[one], scales[other], colored=colored, effort=effort)
+        for one, other in zip(*numbers, strict=True)
     )
 
 
@@ -124,48 +135,77 @@ class CloudScale:
         return self._spacings[voxel_size]
 
 
-def options_of_scales(source: CloudScale, target: CloudScale, *, colored: bool) -> RegistrationOptions:
+def options_of_scales(
+    source: CloudScale, target: CloudScale, *, colored: bool, effort: str = "balanced"
+) -> RegistrationOptions:
     """The options derived for one pair."""
     if not source.usable or not target.usable:
-        return scaled_options(1.0, colored=colored)  # register() refuses the pair with its reason
+        return options_for(1.0, colored=colored, effort=effort)  # register() refuses the pair, which no length helps
     voxel_size = None
     if max(source.points, target.points) > MAX_POINTS:
         voxel_size = max(source.thinning_voxel, target.thinning_voxel)
-    return options_of_spacings((source.spacing(voxel_size), target.spacing(voxel_size)), voxel_size, colored=colored)
+    spacings = (source.spacing(voxel_size), target.spacing(voxel_size))
+    return options_of_spacings(spacings, voxel_size, colored=colored, effort=effort)
 
 
 def options_of_spacings(
-    apart: tuple[float, float], voxel_size: float | None, *, scale: float | None = None, colored: bool = True
+    spacings: tuple[float, float],
+    voxel_size: float | None,
+    *,
+    scale: float | None = None,
+    colored: bool = True,
+    effort: str = "balanced",
 ) -> RegistrationOptions:
     """The options of a pair by the spacings of its clouds.
 
     Args:
-        apart: meters, of source and target, after the voxels where there are any.
+        spacings: meters, of source and target, after the voxels where there are any.
         voxel_size: meters, where it is settled; ``None`` asks for one only where the spacings are uneven.
         scale: meters, the spacing that lengths follow; ``None`` takes the coarser one.
         colored: whether both clouds have colors.
+        effort: as in ``RegistrationOptions``.
     """
-    scale = max(apart) if scale is None else scale
-    if voxel_size is None and min(apart) > 0 and max(apart) > UNEVEN * min(apart):
+    scale = max(spacings) if scale is None else scale
+    if voxel_size is None and min(spacings) > 0 and max(spacings) > UNEVEN * min(spacings):
         voxel_size = scale
-    return scaled_options(scale if scale > 0 else voxel_size or 1.0, voxel_size=voxel_size, colored=colored)
+    scale = scale if scale > 0 else voxel_size or 1.0
+    return options_for(scale, colored=colored, voxel_size=voxel_size, effort=effort)
 
 
-def scaled_options(scale: float, *, voxel_size: float | None = None, colored: bool = True) -> RegistrationOptions:
-    """The default options for points ``scale`` meters apart."""
-    return RegistrationOptions(
+def options_for(
+    spacing: float, *, colored: bool = True, voxel_size: float | None = None, effort: str = "balanced"
+) -> RegistrationOptions:
+    """The options that ``register`` derives for points so far apart.
+
+    Args:
+        spacing: meters, the median distance of a point to its fourth nearest other one (``torchreg.spacing``).
+        colored: whether both clouds of a pair have colors.
+        voxel_size: meters, of the cubes that the points are averaged over first; ``None`` takes them as they are.
+        effort: as in ``RegistrationOptions``. For ``"fast"`` all lengths are half as large again, and voxels thin
+            the points accordingly.
+
+    Raises:
+        ValueError: a length that is not above 0, or an unknown effort.
+
+    Example:
+        >>> options_for(0.05).inlier_threshold, options_for(0.05, effort="fast").voxel_size
+        (0.07500000000000001, 0.07500000000000001)
+    """
+    positive(spacing, "spacing")
+    one_of(effort, "effort", EFFORTS)
+    color = (Contrast(radius=5 * spacing), Pcfh(radius=5 * spacing, channels=CHANNELS, equalization="none"))
+    options = RegistrationOptions(
         voxel_size=voxel_size,
-        normal_radius=2 * scale,
-        feature_radius=5 * scale,
-        color=("contrast", "pcfh") if colored else (),
-        color_weights=(0.8, 0.5) if colored else (),
-        color_channels=("hue", "saturation", "value"),
-        equalization="none",
-        color_radius=5 * scale,
-        solver="compatibility",
-        ransac=RansacOptions(inlier_threshold=1.5 * scale),
-        effort="balanced",
+        normal_radius=2 * spacing,
+        descriptors=(Fpfh(radius=5 * spacing), *(color if colored else ())),
+        weights=(1.0, 0.8, 0.5) if colored else (1.0,),
+        solver=CompatibilityOptions(inlier_threshold=_THRESHOLD_SPACINGS * spacing),
+        effort=effort,
     )
+    if effort != "fast":
+        return options
+    thinned = max(voxel_size or 0.0, options.inlier_threshold / _THRESHOLD_SPACINGS)
+    return replace(options, voxel_size=thinned).scaled(COARSER)
 
 
 def usable(cloud: Clouds) -> bool:

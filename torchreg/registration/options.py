@@ -1,0 +1,252 @@
+"""Everything that ``register`` uses, as one frozen record of records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.records import DESCRIPTORS, Fpfh, Pcfh
+from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.solvers import SOLVERS, RansacOptions, Solver
+from torchreg.types.lengths import length, scaled
+
+EFFORTS = ("plain", "fast", "balanced", "thorough")
+
+
+@dataclass(frozen=True, init=False)
+class RegistrationOptions:
+    """Everything that ``register`` uses. The defaults are the paper's (section 4.1), for scans of buildings.
+
+    Attributes:
+        voxel_size: meters; the clouds are averaged over cubes of this edge first; ``None`` takes them as
+            they are.
+        normal_radius: meters, the support of a normal.
+        normal_max_neighbors: nearest points within it, the point itself counted.
+        descriptors: what every point is described by, each a record with a support radius of its own. Where a pair has
+            no colors, those that need them are left out.
+        weights: of the descriptors in the fused feature, all blocks being of unit length before it; ``None`` at
+            construction for equal ones.
+        root: in [0, 1], how far the entries of histograms are moved towards their square roots before they are
+            fused: 0 (the paper) leaves them, 1 compares histograms by Hellinger's distance.
+        ratio: a match stays when its distance is below this fraction of the second nearest's; ``None``
+            leaves the test out.
+        match_neighbors: a match stands when each point is among the other's so many nearest in feature space.
+        solver: what turns matches into poses; its inlier threshold holds for the whole registration. At construction
+            also a name of ``torchreg.solvers.SOLVERS``.
+        effort: work spent per pair. ``"plain"`` is the paper's procedure with these features and this solver, and
+            stops there. The others let several candidate poses compete on the clouds themselves, refine them and
+            judge the winner: ``"fast"`` from one set of features, ``"balanced"`` from two, ``"thorough"`` from
+            several and by both of the library's solvers. Lengths do not depend on it; where ``register`` derives
+            them, ``options_for`` takes them half as large again for ``"fast"``.
+
+    These names from before descriptors and solvers were records are read, and taken by the constructor and
+    ``dataclasses.replace``, as well: ``feature_radius`` and ``feature_max_neighbors``; ``color``, ``color_weights``,
+    ``color_radius``, ``color_bins``, ``color_channels``, ``equalization`` and ``saturation_weighting``; ``ransac``.
+
+    Raises:
+        ValueError: a value out of its range, no descriptor, or another number of weights than of descriptors.
+        TypeError: an unknown name, or an entry of ``descriptors`` or ``solver`` that is no such record.
+
+    Example:
+        >>> options = RegistrationOptions(descriptors=(Fpfh(radius=0.25),), solver="compatibility").scaled(2)
+        >>> options.normal_radius, options.descriptors[0].radius, options.inlier_threshold
+        (4.0, 0.5, 0.4)
+    """
+
+    voxel_size: float | None = length(None)
+    normal_radius: float = length()
+    normal_max_neighbors: int
+    descriptors: tuple[Descriptor, ...]
+    weights: tuple[float, ...]
+    root: float
+    ratio: float | None
+    match_neighbors: int
+    solver: Solver
+    effort: str
+
+    def __init__(
+        self,
+        *,
+        voxel_size: float | None = None,
+        normal_radius: float = 2.0,
+        normal_max_neighbors: int = 30,
+        descriptors: Sequence[Descriptor] | None = None,
+        weights: Sequence[float] | None = None,
+        root: float = 0.0,
+        ratio: float | None = None,
+        match_neighbors: int = 1,
+        solver: Solver | str | None = None,
+        effort: str = "plain",
+        **former: Any,  # noqa: ANN401
+    ) -> None:
+        records = (Fpfh(radius=5.0), Pcfh(radius=2.0)) if descriptors is None else tuple(descriptors)
+        shares = (1.0,) * len(records) if weights is None else tuple(weights)
+        by = _solver(RansacOptions() if solver is None else solver, former.pop("ransac", None))
+        records, shares = _by_former_names(records, shares, former)
+        values = {
+            "voxel_size": voxel_size if voxel_size is None else positive(voxel_size, "voxel_size"),
+            "normal_radius": positive(normal_radius, "normal_radius"),
+            "normal_max_neighbors": at_least(normal_max_neighbors, "normal_max_neighbors", 3),
+            "descriptors": records,
+            "weights": tuple(positive(share, "weights") for share in shares),
+            "root": fraction(root, "root", zero=True),
+            "ratio": ratio if ratio is None else fraction(ratio, "ratio"),
+            "match_neighbors": at_least(match_neighbors, "match_neighbors", 1),
+            "solver": by,
+            "effort": one_of(effort, "effort", EFFORTS),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        expect(len(records) > 0, "descriptors", "at least one", records)
+        for record in records:
+            if not isinstance(record, Descriptor):
+                raise TypeError(f"descriptors: expected records such as Fpfh(radius=0.25), got {record!r}")
+        expect(len(shares) == len(records), "weights", f"one per descriptor ({len(records)})", shares)
+        expect(ratio is None or match_neighbors == 1, "match_neighbors", "1 beside a ratio", match_neighbors)
+
+    @property
+    def inlier_threshold(self) -> float:
+        """Meters, the solver's: a match or point farther apart than this under a transform is no inlier."""
+        return self.solver.inlier_threshold
+
+    def scaled(self, factor: float) -> RegistrationOptions:
+        """The same options for points ``factor`` times as far apart: every length multiplied."""
+        return scaled(self, factor)
+
+    @property
+    def feature_radius(self) -> float:
+        """Meters, of the first descriptor of geometry; of the first descriptor where none is."""
+        return next((record for record in self.descriptors if not record.needs_colors), self.descriptors[0]).radius
+
+    @property
+    def feature_max_neighbors(self) -> int:
+        """The most neighbors of any descriptor."""
+        return max(record.max_neighbors for record in self.descriptors)
+
+    @property
+    def color(self) -> tuple[str, ...]:
+        """Names of the descriptors that need colors."""
+        return tuple(record.name for record in self.descriptors if record.needs_colors)
+
+    @property
+    def color_weights(self) -> tuple[float, ...]:
+        """Their weights."""
+        pairs = zip(self.descriptors, self.weights, strict=True)
+        return tuple(weight for record, weight in pairs if record.needs_colors)
+
+    @property
+    def color_radius(self) -> float:
+        """Meters, of the first of them; ``feature_radius`` where there is none."""
+        return next((record.radius for record in self.descriptors if record.needs_colors), self.feature_radius)
+
+    @property
+    def color_bins(self) -> int:
+        """Bins of PCFH."""
+        return self._pcfh.bins
+
+    @property
+    def color_channels(self) -> tuple[str, ...]:
+        """Channels of PCFH."""
+        return self._pcfh.channels
+
+    @property
+    def equalization(self) -> str:
+        """Equalization of hue for PCFH."""
+        return self._pcfh.equalization
+
+    @property
+    def saturation_weighting(self) -> bool:
+        """Whether PCFH's votes on hue count by saturation."""
+        return self._pcfh.saturation_weighting
+
+    @property
+    def ransac(self) -> RansacOptions:
+        """The solver where it is RANSAC, else RANSAC's defaults at the same threshold."""
+        return _alike(RansacOptions, self.solver)
+
+    @property
+    def _pcfh(self) -> Pcfh:
+        return next((record for record in self.descriptors if isinstance(record, Pcfh)), Pcfh(radius=self.color_radius))
+
+
+_FORMER_FIELDS = {  # names from before descriptors were records: of which records they are, and of which field
+    "feature_radius": ("geometry", "radius"),
+    "feature_max_neighbors": ("any", "max_neighbors"),
+    "color_radius": ("color", "radius"),
+    "color_bins": ("pcfh", "bins"),
+    "color_channels": ("pcfh", "channels"),
+    "equalization": ("pcfh", "equalization"),
+    "saturation_weighting": ("pcfh", "saturation_weighting"),
+}
+
+
+def solver_by_name(name: str, like: Solver) -> Solver:
+    """The solver of this name: ``like`` itself where it is the one, else a record with its threshold and refitting.
+
+    Raises:
+        ValueError: no solver has this name.
+    """
+    return like if like.name == name else _alike(SOLVERS[one_of(name, "solver", tuple(SOLVERS))], like)
+
+
+def _alike(kind: type[Any], like: Solver) -> Any:  # noqa: ANN401
+    if isinstance(like, kind):
+        return like
+    return kind(inlier_threshold=like.inlier_threshold, local_optimization=like.local_optimization)
+
+
+def _solver(solver: Solver | str, ransac: RansacOptions | None) -> Solver:
+    """The solver; ``ransac``, the former name of one of them, gives its threshold and refitting to any other."""
+    if isinstance(solver, str):
+        return solver_by_name(solver, RansacOptions() if ransac is None else ransac)
+    if not isinstance(solver, Solver):
+        raise TypeError(f"solver: expected a record such as RansacOptions(), got {solver!r}")
+    if ransac is None or isinstance(solver, RansacOptions):
+        return ransac or solver
+    return replace(
+        solver, inlier_threshold=ransac.inlier_threshold, local_optimization=ransac.local_optimization
+    )
+
+
+def _by_former_names(
+    descriptors: tuple[Descriptor, ...], weights: tuple[float, ...], former: dict[str, Any]
+) -> tuple[tuple[Descriptor, ...], tuple[float, ...]]:
+    """Descriptors and weights with what is said of them by names from before they were records."""
+    if not former or len(descriptors) != len(weights):
+        return descriptors, weights
+    former = dict(former)
+    color, color_weights = former.pop("color", None), former.pop("color_weights", None)
+    changes: dict[str, dict[str, Any]] = {"geometry": {}, "color": {}, "any": {}, "pcfh": {}}
+    former_of: dict[tuple[str, str], str] = {}
+    for name, (kind, field) in _FORMER_FIELDS.items():
+        if name in former:
+            changes[kind][field] = former.pop(name)
+            former_of[kind, field] = name
+    if former:
+        raise TypeError(f"RegistrationOptions has no option {next(iter(former))!r}")
+    listed = list(zip(descriptors, weights, strict=True))
+    colored = [item for item in listed if item[0].needs_colors]
+    if color is not None:
+        known = {record.name: (record, weight) for record, weight in colored}
+        radius = next((record.radius for record, _ in colored), 2.0)
+        for name in color:
+            one_of(name, "color", tuple(key for key, kind in DESCRIPTORS.items() if kind.needs_colors))
+        colored = [known.get(name, (DESCRIPTORS[name](radius=radius), 1.0)) for name in color]
+    if color_weights is not None:
+        expect(len(color_weights) == len(colored), "color_weights", f"one per color block ({len(colored)})", color_weights)
+        colored = [(record, weight) for (record, _), weight in zip(colored, color_weights, strict=True)]
+    if color is not None or color_weights is not None:
+        listed = [item for item in listed if not item[0].needs_colors] + colored
+
+    def changed(record: Descriptor) -> Descriptor:
+        kinds = ["any", "color" if record.needs_colors else "geometry", *(["pcfh"] if isinstance(record, Pcfh) else [])]
+        try:
+            return replace(record, **{field: value for kind in kinds for field, value in changes[kind].items()})
+        except ValueError as error:
+            field, _, rest = str(error).partition(":")
+            name = next((former_of[kind, field] for kind in kinds if (kind, field) in former_of), field)
+            raise ValueError(f"{name}:{rest}") from None
+
+    return tuple(changed(record) for record, _ in listed), tuple(weight for _, weight in listed)

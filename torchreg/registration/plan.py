@@ -1,0 +1,236 @@
+"""What stands beside the pipeline of one call: options of every pair, clouds shared by pairs, slices, results joined.
+
+A cloud may stand in many pairs. Equal clouds get one number (``same_clouds``); what is described is a *job*, a number
+with what it is described by, and pairs name their two jobs (a ``Pairing``). So every job is done once, when the first
+slice of pairs needs it, and forgotten after the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import psutil
+import torch
+from torch import Tensor
+
+from torchreg.errors import at_least, expect, expect_device
+from torchreg.geometry.numerics.partition import partition
+from torchreg.refinement.pairing import Pairing, numbered
+from torchreg.registration.describe import Description, describe_thin, description_of, downsample, expect_alike
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.inspect import facts_of, refusal, set_aside
+from torchreg.registration.options import RegistrationOptions, solver_by_name
+from torchreg.registration.same_clouds import same_clouds
+from torchreg.registration.spacing import derive_numbered
+from torchreg.solvers import Solver
+from torchreg.types import Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
+from torchreg.types.packing import offsets_of, spans
+
+SHARE = 0.25
+"""Of the free memory, what a call takes where it is not told."""
+
+_POINT_BYTES = 2000  # of a described point: itself, its descriptors, their copies in the slice and in its features
+_PAIR_BYTES = 1 << 20  # of a pair whatever its size: hypotheses and candidates
+_NOTHING = -1  # the number of a cloud without points, which takes the place of those of refused pairs
+
+
+class _Job(NamedTuple):
+    """A cloud to be described.
+
+    Attributes:
+        cloud: its number.
+        description: with what.
+        pair: the pair that it is described for, where a descriptor looks at both clouds; else -1.
+        side: 0 for the source of that pair, 1 for the target; else 0.
+    """
+
+    cloud: int
+    description: Description
+    pair: int = -1
+    side: int = 0
+
+
+class Plan:
+    """What ``register`` works on.
+
+    Attributes:
+        options: of every pair.
+        colored: whether both sides have colors.
+        slices: pairs that fit the memory together.
+    """
+
+    def __init__(
+        self,
+        source: Clouds,
+        target: Clouds,
+        options: RegistrationOptions | Sequence[RegistrationOptions] | None,
+        *,
+        effort: str | None,
+        solver: Solver | str | None,
+        max_bytes: int | None,
+    ) -> None:
+        expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
+        expect(len(source) > 0, "source", "at least one cloud", len(source))
+        expect_device(target.points, "target", source.device)
+        expect(target.points.dtype == source.points.dtype, "target", f"points in {source.points.dtype}", target.points)
+        self._budget = budget(max_bytes, source.device)
+        source, target = source.detach(), target.detach()
+        self.colored = source.colors is not None and target.colors is not None
+        self._numbers = same_clouds([source, target])
+        single = [*source.unpack(), *target.unpack()]
+        distinct = {number: single[number] for side in self._numbers for number in side}
+        self._facts = {number: facts_of(cloud)[0] for number, cloud in distinct.items()}
+        self.options = self._options(source, target, options, effort, solver)
+        # normals are estimated anew, and colors of one side alone tell nothing: so all clouds can be packed
+        clouds = {
+            number: replace(cloud, normals=None, colors=cloud.colors if self.colored else None)
+            for number, cloud in distinct.items()
+        }
+        clouds[_NOTHING] = set_aside(clouds[self._numbers[0][0]], [True])
+        jobs = [self._job(b, side) for side in range(2) for b in range(len(source))]
+        self._jobs, numbers = numbered(jobs)
+        self._pairing = Pairing(numbers[: len(source)], numbers[len(source) :])
+        self._thin = [downsample(clouds[job.cloud], [job.description.voxel_size]) for job in self._jobs]
+        self._last = {job: b for b, pair in enumerate(zip(*self._pairing, strict=True)) for job in pair}
+        self._described: dict[int, DescribedClouds] = {}
+        sizes = [sum(len(self._thin[job].points) for job in pair) for pair in zip(*self._pairing, strict=True)]
+        self.slices = partition([pair_bytes(size, self.options[0]) for size in sizes], self._budget)
+
+    def described(self, rows: slice) -> tuple[DescribedClouds, DescribedClouds]:
+        """Both sides of the pairs of a slice; slices are asked for in order, and what no later pair needs is let go."""
+        pairs = list(zip(self._pairing.source[rows], self._pairing.target[rows], strict=True))
+        new = [job for job in dict.fromkeys(job for pair in pairs for job in pair) if job not in self._described]
+        if new:
+            thin = Clouds.pack([self._thin[job] for job in new])
+            described = describe_thin(thin, [self._jobs[job].description for job in new], max_bytes=self._budget)
+            self._described.update(zip(new, described.unpack(), strict=True))
+        sides = [
+            replace(
+                DescribedClouds.pack([self._described[pair[side]] for pair in pairs]),
+                facts=tuple(self._facts[number] for number in self._numbers[side][rows]),
+            )
+            for side in range(2)
+        ]
+        # what stays is copied out of its batch, whose memory it would hold otherwise
+        later = {job: cloud for job, cloud in self._described.items() if self._last[job] >= rows.stop}
+        self._described = {job: cloud.clone() if job in new else cloud for job, cloud in later.items()}
+        return sides[0], sides[1]
+
+    def _options(
+        self,
+        source: Clouds,
+        target: Clouds,
+        options: RegistrationOptions | Sequence[RegistrationOptions] | None,
+        effort: str | None,
+        solver: Solver | str | None,
+    ) -> tuple[RegistrationOptions, ...]:
+        """One per pair; derived from the clouds' scale for ``None``."""
+        if options is not None:
+            return options_of_pairs(options, len(source), effort, solver)
+        refused = [self._refusal(b, None) for b in range(len(source))]
+        usable = (set_aside(source, refused), set_aside(target, refused))
+        numbers = [
+            [_NOTHING if failure else number for number, failure in zip(side, refused, strict=True)]
+            for side in self._numbers
+        ]
+        derived = derive_numbered(*usable, numbers, "balanced" if effort is None else effort)
+        return options_of_pairs(derived, len(source), None, solver)
+
+    def _refusal(self, b: int, options: RegistrationOptions | None) -> Failure | None:
+        return refusal(self._facts[self._numbers[0][b]], self._facts[self._numbers[1][b]], options)
+
+    def _job(self, b: int, side: int) -> _Job:
+        number = _NOTHING if self._refusal(b, self.options[b]) else self._numbers[side][b]
+        description = description_of(self.options[b], colored=self.colored)
+        return _Job(number, description, b, side) if description.is_pairwise else _Job(number, description)
+
+
+def options_of_pairs(
+    options: RegistrationOptions | Sequence[RegistrationOptions],
+    pairs: int,
+    effort: str | None = None,
+    solver: Solver | str | None = None,
+) -> tuple[RegistrationOptions, ...]:
+    """One per pair, with another effort or solver where one is named.
+
+    Raises:
+        ValueError: another type or number, or options that differ in more than lengths.
+    """
+    if isinstance(options, RegistrationOptions):
+        options = (options,) * pairs
+    listed = isinstance(options, Sequence) and all(isinstance(option, RegistrationOptions) for option in options)
+    expect(listed, "options", "RegistrationOptions, one per pair or one for all", options)
+    expect(len(options) == pairs, "options", f"one for all or one per pair ({pairs})", len(options))
+    changed = tuple(_changed(option, effort, solver) for option in options)
+    expect_alike(changed)
+    return changed
+
+
+def _changed(options: RegistrationOptions, effort: str | None, solver: Solver | str | None) -> RegistrationOptions:
+    if solver is not None:
+        solver = solver_by_name(solver, options.solver) if isinstance(solver, str) else solver
+        options = replace(options, solver=solver)
+    return options if effort is None else replace(options, effort=effort)
+
+
+def budget(max_bytes: int | None, device: torch.device) -> int:
+    """The bytes that a call may work with.
+
+    Args:
+        max_bytes: what the caller says; ``None`` takes a quarter of what is free on the device now.
+        device: where the clouds are.
+
+    Raises:
+        ValueError: ``max_bytes`` below 1.
+    """
+    if max_bytes is not None:
+        return at_least(max_bytes, "max_bytes", 1)
+    if device.type == "cuda":
+        return int(SHARE * torch.cuda.mem_get_info(device)[0])
+    return int(SHARE * psutil.virtual_memory().available)
+
+
+def pair_bytes(points: int, options: RegistrationOptions) -> int:
+    """About what a pair of this many points, both clouds together, holds while it is matched and solved."""
+    return _PAIR_BYTES + points * _POINT_BYTES * (2 if options.effort == "thorough" else 1)
+
+
+def joined(results: Sequence[RegistrationResult], *, seconds: dict[str, float]) -> RegistrationResult:
+    """The pairs of all results of one call, in order; their matches count rows on through all clouds.
+
+    Args:
+        results: of one call, at least one.
+        seconds: of every stage, of all of them together.
+    """
+    first, times = results[0], tuple(seconds.items())
+    if len(results) == 1:
+        return replace(first, seconds=times)
+    fields: dict[str, Any] = {}
+    for name, value in vars(first).items():
+        parts = [getattr(result, name) for result in results]
+        if isinstance(value, Tensor):
+            fields[name] = torch.cat(parts)
+        elif isinstance(value, Clouds):
+            fields[name] = Clouds.pack(parts)
+        elif isinstance(value, HypothesisCounts):
+            fields[name] = HypothesisCounts(*map(torch.cat, zip(*parts, strict=True)))
+        elif isinstance(value, tuple):
+            fields[name] = tuple(item for part in parts for item in part)
+    return replace(first, **fields | {"correspondences": _correspondences(results), "seconds": times})
+
+
+def _correspondences(results: Sequence[RegistrationResult]) -> Correspondences:
+    source, target, first = [], [], [0, 0]
+    for result in results:
+        source.append(result.correspondences.source + first[0])
+        target.append(result.correspondences.target + first[1])
+        first = [first[0] + len(result.source.points), first[1] + len(result.target.points)]
+    counts = [end - begin for result in results for begin, end in spans(result.correspondences.offsets)]
+    return Correspondences(
+        source=torch.cat(source),
+        target=torch.cat(target),
+        offsets=offsets_of(counts),
+        score=torch.cat([result.correspondences.score for result in results]),
+    )
