@@ -26,9 +26,9 @@ _CHUNKED = (
     "descriptors.soft.sums",
     "descriptors.learned.model",
     "preprocess.normals",
-    "hypotheses.verdict",
+    "solvers.chance",
 )
-_TILED = ("matching.settle", "hypotheses.scoring")
+_TILED = ("matching.settle", "solvers.scoring")
 
 
 def same_bits(left: Any, right: Any, *, ignore: tuple[str, ...] = ()) -> bool:

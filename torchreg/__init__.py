@@ -38,17 +38,16 @@ from torchreg.refinement.icp import icp
 from torchreg.registration import LEARNED, PAPER, derive_options, spacing
 from torchreg.registration.register import register
 from torchreg.report.explain import explanation as _explanation  # noqa: F401  # the words of RegistrationResult.explain
+from torchreg.solvers import CompatibilityOptions, RansacOptions, Solver
 from torchreg.solvers.compatibility import compatibility
 from torchreg.solvers.ransac import ransac
 from torchreg.types import (
     Clouds,
-    CompatibilityOptions,
     Correspondences,
     Failure,
     Features,
     HypothesisCounts,
     Neighborhoods,
-    RansacOptions,
     RegistrationOptions,
     RegistrationResult,
     SoftCorrespondences,
@@ -73,6 +72,7 @@ __all__ = [
     "RegistrationOptions",
     "RegistrationResult",
     "SoftCorrespondences",
+    "Solver",
     "__version__",
     "augment",
     "batch",

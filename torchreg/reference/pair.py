@@ -14,7 +14,7 @@ from torchreg.reference.legacy import feature, point_cloud, rows
 from torchreg.reference.stages import estimate_normals, fpfh, voxel_downsample
 from torchreg.registration.describe import color_of_pairs, describe, fused, oriented
 from torchreg.registration.stopwatch import Stopwatch
-from torchreg.solvers.checks import too_few_matches
+from torchreg.solvers.batch import too_few_matches
 from torchreg.types import Clouds, Failure, Features, RegistrationOptions
 
 FEATURES = ("fpfh", "fused")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchreg.solvers import collect
-from torchreg.solvers.compatibility import judged as judged_sets
-from torchreg.solvers.ransac import judged as judged_samples
+from torchreg.registration.recipes import solvers_of
+from torchreg.solvers import result_of_poses
 from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
 from torchreg.verification import Care, Lengths, Proposed
 from torchreg.verification.verify import verify
@@ -29,12 +28,8 @@ def decide(
     """The best pose of every pair and the verdict on it; ``spacings`` are those of both sides' points, meters."""
     first = options[0]
     if first.effort == "plain":
-        poses = proposed[0].poses
-        if first.solver == "ransac":
-            judged = judged_samples([option.ransac for option in options], poses)
-        else:
-            judged = judged_sets([option.ransac.inlier_threshold for option in options])
-        return collect(source, target, proposed[0].matches, poses, judged)
+        solvers = solvers_of(first.solver, options)
+        return result_of_poses(source, target, proposed[0].matches, proposed[0].poses, solvers)
     lengths = [
         Lengths(option.ransac.inlier_threshold, max(apart))
         for option, apart in zip(options, zip(*spacings, strict=True), strict=True)

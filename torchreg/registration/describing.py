@@ -45,7 +45,7 @@ def describe_clouds(
     Raises:
         ValueError: options that differ in more than lengths, or that equalize hue jointly over a pair.
     """
-    per_cloud = one_per_pair(options, PAPER, len(clouds))
+    per_cloud = one_per_pair(PAPER if options is None else options, len(clouds))
     expect_alike(per_cloud)
     first = per_cloud[0]
     joint = first.equalization == "joint" and "pcfh" in first.color and clouds.colors is not None

@@ -14,13 +14,8 @@ import torch
 
 from torchreg.matching import match_mutual
 from torchreg.registration.describe import Described, fused
-from torchreg.solvers import PairPoses, base_seed
-from torchreg.solvers.compatibility import compatibility_poses
-from torchreg.solvers.ransac import ransac_poses
-from torchreg.types import Clouds, CompatibilityOptions, Correspondences, RegistrationOptions
-
-NODES = {"plain": 2000, "fast": 1000, "balanced": 1000, "thorough": 2000}
-"""Correspondences that the compatibility solver compares with one another, by effort."""
+from torchreg.solvers import CompatibilityOptions, PairPoses, RansacOptions, Solver, base_seed, poses_of_pairs
+from torchreg.types import Clouds, Correspondences, RegistrationOptions
 
 _FURTHER_SETS = ((("contrast",), (0.8,)), (("pcfh",), (0.5,)))
 
@@ -108,11 +103,17 @@ def solve(
     seed: int,
 ) -> list[PairPoses]:
     """Distinct poses of every pair by one recipe's solver."""
-    if recipe.solver == "ransac":
-        drawn = base_seed(torch.Generator().manual_seed(seed))
-        return ransac_poses(source, target, matches, [option.ransac for option in options], drawn)
-    thresholds = [option.ransac.inlier_threshold for option in options]
-    rounds = options[0].ransac.local_optimization
-    shared = CompatibilityOptions(nodes=NODES[options[0].effort], local_optimization=rounds)
-    per_pair = [replace(shared, inlier_threshold=threshold) for threshold in thresholds]
-    return compatibility_poses(source, target, matches, per_pair)
+    drawn = base_seed(torch.Generator().manual_seed(seed))
+    return poses_of_pairs(source, target, matches, solvers_of(recipe.solver, options), drawn)
+
+
+def solvers_of(name: str, options: Sequence[RegistrationOptions]) -> list[Solver]:
+    """The solver of this name for every pair."""
+    if name == RansacOptions.name:
+        return [option.ransac for option in options]
+    return [
+        CompatibilityOptions(
+            inlier_threshold=option.ransac.inlier_threshold, local_optimization=option.ransac.local_optimization
+        ).at_effort(option.effort)
+        for option in options
+    ]

@@ -17,7 +17,8 @@ from torchreg.errors import expect
 from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import voxel_downsample
 from torchreg.registration.same_clouds import same_clouds
-from torchreg.types import Clouds, RansacOptions, RegistrationOptions
+from torchreg.solvers import RansacOptions
+from torchreg.types import Clouds, RegistrationOptions
 
 MAX_POINTS = 30_000
 """A cloud with more is thinned first."""

@@ -3,83 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 
+if TYPE_CHECKING:
+    from torchreg.solvers.ransac import RansacOptions
+
 EQUALIZATIONS = ("none", "cloud", "joint")
 COLOR_BLOCKS = ("pcfh", "contrast", "learned")
-SCORINGS = ("count", "msac")
 SOLVERS = ("ransac", "compatibility")
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
 
-@dataclass(frozen=True, kw_only=True)
-class RansacOptions:
-    """How hypotheses are drawn, tested and accepted. The defaults are the paper's (section 4.1), but for ``scoring``.
+def _ransac() -> RansacOptions:
+    from torchreg.solvers.ransac import RansacOptions
 
-    Attributes:
-        hypotheses: how many minimal samples are drawn at most.
-        confidence: drawing stops once a better sample would have been drawn with this probability;
-            1.0 draws all of them.
-        edge_similarity: in [0, 1]; a sample stays when each edge's length in the one cloud is at least
-            this fraction of its length in the other.
-        inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier.
-        sample_size: correspondences in a minimal sample, at least 3.
-        local_optimization: rounds of refitting to the inliers of the best hypotheses; 0 keeps the minimal
-            solution.
-        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
-            for 1 - (residual / threshold)^2. When to stop drawing follows from the count alone.
-    """
-
-    hypotheses: int = 600_000
-    confidence: float = 0.999
-    edge_similarity: float = 0.9
-    inlier_threshold: float = 0.2
-    sample_size: int = 3
-    local_optimization: int = 10
-    scoring: str = "msac"
-
-    def __post_init__(self) -> None:
-        at_least(self.hypotheses, "hypotheses", 1)
-        fraction(self.confidence, "confidence")
-        fraction(self.edge_similarity, "edge_similarity", zero=True)
-        positive(self.inlier_threshold, "inlier_threshold")
-        at_least(self.sample_size, "sample_size", 3)
-        at_least(self.local_optimization, "local_optimization", 0)
-        one_of(self.scoring, "scoring", SCORINGS)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompatibilityOptions:
-    """How sets of correspondences that keep their distances are found and accepted.
-
-    Attributes:
-        inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier, and
-            two correspondences agree when their distances in the two clouds differ by less.
-        nodes: correspondences that are compared each with each, at most 4,095; of more, those that agree with more
-            others than chance gives are taken. Memory grows with the square, time with the cube.
-        partners: in the first set of a seed, those that share the most partners with it.
-        members: of its final set, the seed counted.
-        local_optimization: rounds of refitting to the inliers of the best transforms; 0 keeps those of the sets.
-        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
-            for 1 - (residual / threshold)^2.
-    """
-
-    inlier_threshold: float = 0.2
-    nodes: int = 2000
-    partners: int = 30
-    members: int = 20
-    local_optimization: int = 10
-    scoring: str = "msac"
-
-    def __post_init__(self) -> None:
-        positive(self.inlier_threshold, "inlier_threshold")
-        at_least(self.nodes, "nodes", 3)
-        expect(self.nodes <= 4095, "nodes", "at most 4095", self.nodes)
-        at_least(self.members, "members", 3)
-        at_least(self.partners, "partners", self.members - 1)
-        at_least(self.local_optimization, "local_optimization", 0)
-        one_of(self.scoring, "scoring", SCORINGS)
+    return RansacOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +73,7 @@ class RegistrationOptions:
     ratio: float | None = None
     match_neighbors: int = 1
     solver: str = "ransac"
-    ransac: RansacOptions = field(default_factory=RansacOptions)
+    ransac: RansacOptions = field(default_factory=_ransac)
     effort: str = "plain"
 
     def __post_init__(self) -> None:
