@@ -40,7 +40,7 @@ import json, sys, torch
 import torchreg as tr
 from torchreg.open3d_loader import load_open3d
 from torchreg.registration import describe_clouds
-from torchreg.registration.scale import scaled_options
+from torchreg.registration import options_for
 load_open3d()
 def status(name):
     return [int(line.split()[1]) * 1024 for line in open('/proc/self/status') if line.startswith(name)][0]
@@ -67,11 +67,11 @@ source, target = (tr.Clouds.pack([cloud(seed, station) for seed in range(256)]) 
 PEAKS = {
     "one pair of 1,000,000 points a cloud, voxels of 0.1 m": (
         MILLION,
-        "tr.register(*clouds, replace(scaled_options(0.1), voxel_size=0.1))",
+        "tr.register(*clouds, replace(options_for(0.1), voxel_size=0.1))",
     ),
     "describing 1,000,000 points as they are (100 neighbors, FPFH and color)": (
         MILLION,
-        "describe_clouds(clouds[0], scaled_options(float(tr.spacing(clouds[0]))))",
+        "describe_clouds(clouds[0], options_for(float(tr.spacing(clouds[0]))))",
     ),
     "256 pairs of 10,000 points, default, one call": (MANY, "tr.register(source, target)"),
     "the same within max_bytes of 1 GiB": (MANY, "tr.register(source, target, max_bytes=1 << 30)"),

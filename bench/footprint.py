@@ -22,7 +22,7 @@ MEMORY = f"""
 import json, resource
 import torchreg as tr
 from torchreg.open3d_loader import load_open3d
-from torchreg.registration.scale import scaled_options
+from torchreg.registration import options_for
 load_open3d()
 def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
@@ -32,7 +32,7 @@ del pair
 open('/proc/self/clear_refs', 'w').write('5')  # the peak counts from here
 before = [int(line.split()[1]) * 1024 for line in open('/proc/self/status') if line.startswith('VmRSS')][0]
 scale = float(max(tr.spacing(cloud) for cloud in clouds))
-result = tr.register(*clouds, scaled_options(scale))
+result = tr.register(*clouds, options_for(scale))
 after = [int(line.split()[1]) * 1024 for line in open('/proc/self/status') if line.startswith('VmHWM')][0]
 print(json.dumps({{"bytes": after - before, "success": bool(result.success), "seconds": dict(result.seconds)}}))
 """

@@ -27,7 +27,7 @@ from torch import Tensor
 
 import torchreg as tr
 from torchreg import metrics
-from torchreg.registration.scale import scaled_options
+from torchreg.registration import options_for
 from torchreg.verification.evidence import Evidence
 from torchreg.verification.model import MODEL, PRIOR, probabilities, terms
 from torchreg.verification.reasons import ACCEPTED, MARGIN, accepted
@@ -49,7 +49,7 @@ class Seen(NamedTuple):
 
 def look(case: Case) -> Seen:
     """Register one case."""
-    options = scaled_options(case.voxel, colored=case.source.colors is not None)
+    options = options_for(case.voxel, colored=case.source.colors is not None)
     found = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
 
     def column(name: str) -> Tensor:

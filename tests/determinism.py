@@ -26,7 +26,7 @@ _CHUNKED = (
     "descriptors.soft.sums",
     "descriptors.learned.model",
     "preprocess.normals",
-    "solvers.verdict",
+    "solvers.chance",
 )
 _TILED = ("matching.settle", "solvers.scoring")
 

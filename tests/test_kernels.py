@@ -15,8 +15,8 @@ from torchreg.descriptors.pair_features import Oriented, angle_bins, pair_featur
 from torchreg.descriptors.pcfh import difference_bins
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.numerics.chunks import stable_sum
-from torchreg.solvers.ransac.minimal import sample_fits, solve_samples
-from torchreg.solvers.ransac.prune import edge_marks, spans_plane
+from torchreg.solvers.ransac.edges import edge_marks
+from torchreg.solvers.ransac.samples import sample_fits, solve_samples, spans_plane
 from torchreg.solvers.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
 
 ROWS, SLOTS, HYPOTHESES, MATCHES, SAMPLE = 5, 4, 6, 9, 3

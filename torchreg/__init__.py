@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 
 from torchreg import metrics
 from torchreg.descriptors.contrast import contrast
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import fpfh
 from torchreg.descriptors.fuse import fuse
 from torchreg.descriptors.pcfh import pcfh
+from torchreg.descriptors.records import Contrast, Fpfh, Learned, Pcfh
 from torchreg.descriptors.soft.equalize import soft_equalize
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
@@ -35,21 +37,21 @@ from torchreg.preprocess import (
 )
 from torchreg.refinement import IcpOptions
 from torchreg.refinement.icp import icp
-from torchreg.registration import LEARNED, PAPER, derive_options, spacing
+from torchreg.registration import LEARNED, PAPER, derive_options, options_for
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
+from torchreg.registration.spacing import spacing
 from torchreg.report.explain import explanation as _explanation  # noqa: F401  # the words of RegistrationResult.explain
+from torchreg.solvers import CompatibilityOptions, RansacOptions, Solver
 from torchreg.solvers.compatibility import compatibility
 from torchreg.solvers.ransac import ransac
 from torchreg.types import (
     Clouds,
-    CompatibilityOptions,
     Correspondences,
     Failure,
     Features,
     HypothesisCounts,
     Neighborhoods,
-    RansacOptions,
-    RegistrationOptions,
     RegistrationResult,
     SoftCorrespondences,
 )
@@ -63,16 +65,22 @@ __all__ = [
     "PAPER",
     "Clouds",
     "CompatibilityOptions",
+    "Contrast",
     "Correspondences",
+    "Descriptor",
     "Failure",
     "Features",
+    "Fpfh",
     "HypothesisCounts",
     "IcpOptions",
+    "Learned",
     "Neighborhoods",
+    "Pcfh",
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
     "SoftCorrespondences",
+    "Solver",
     "__version__",
     "augment",
     "batch",
@@ -93,6 +101,7 @@ __all__ = [
     "metrics",
     "neighbors",
     "nn",
+    "options_for",
     "pcfh",
     "random_downsample",
     "ransac",

@@ -9,7 +9,7 @@ from problems import room_pair
 import torchreg as tr
 from torchreg.batch.clouds import look_at
 from torchreg.batch.scales import Scale, shared_scales
-from torchreg.registration.scale import UNEVEN
+from torchreg.registration.spacing import UNEVEN
 
 
 def random_scales(seed, count=12):

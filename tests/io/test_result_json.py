@@ -14,7 +14,8 @@ from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, turn, ve
 
 from torchreg.geometry.quaternion import quaternion_wxyz
 from torchreg.io import read_transform_text, result_to_dict, write_result_json
-from torchreg.types import Correspondences, HypothesisCounts, RegistrationOptions, RegistrationResult
+from torchreg.registration.options import RegistrationOptions
+from torchreg.types import Correspondences, HypothesisCounts, RegistrationResult
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

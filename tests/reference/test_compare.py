@@ -13,10 +13,10 @@ from refusals import refuses
 import torchreg as tr
 from torchreg.reference import compare
 from torchreg.reference.side_by_side import shared
-from torchreg.registration.scale import scaled_options
+from torchreg.registration import options_for
 
 PAIR = room_pair(3000, seed=1)
-OPTIONS = replace(scaled_options(0.2), solver="ransac", effort="plain")
+OPTIONS = replace(options_for(0.2), solver="ransac", effort="plain")
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import torchreg as tr
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference import open3d
 from torchreg.reference.pair import _match
-from torchreg.registration.scale import scaled_options
+from torchreg.registration import options_for
 
 PAIR = room_pair(4000, seed=1)
-OPTIONS = scaled_options(0.17)
+OPTIONS = options_for(0.17)
 
 
 @pytest.mark.parametrize("features", ["fpfh", "fused"])

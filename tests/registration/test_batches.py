@@ -9,12 +9,12 @@ import torch
 from determinism import same_bits
 from problems import room_pair
 from refusals import refuses
+from torchreg.registration.slices import pair_bytes, slices
 
 import torchreg as tr
 from torchreg.registration import describe_clouds, describing, register_described
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.same_clouds import same_clouds
-from torchreg.registration.slices import pair_bytes, slices
 
 ROOM = replace(
     tr.PAPER,

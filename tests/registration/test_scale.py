@@ -9,7 +9,7 @@ from problems import plane_cloud, random_transform, room_pair
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.registration.scale import MAX_POINTS, THINNED_POINTS
+from torchreg.registration.spacing import MAX_POINTS, THINNED_POINTS
 
 
 def lattice(side, step, dtype=torch.float64):

@@ -3,7 +3,7 @@
 import torch
 from problems import random_transform
 
-from torchreg.solvers.distinct import pose_vectors
+from torchreg.solvers.poses import pose_vectors
 from torchreg.verification.information import slides_of
 from torchreg.verification.moments import Moments, frames
 from torchreg.verification.poses import Poses, distinct

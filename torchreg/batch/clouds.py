@@ -13,7 +13,7 @@ from torchreg.io import read_cloud
 from torchreg.io.viewpoint_text import viewpoint_of_text
 from torchreg.preprocess import random_downsample
 from torchreg.registration.inspect import facts_of, too_wide
-from torchreg.registration.scale import MAX_POINTS, CloudScale
+from torchreg.registration.spacing import MAX_POINTS, CloudScale
 from torchreg.types import Clouds
 
 

@@ -15,7 +15,8 @@ import torch
 from torchreg.io.atomic import atomic_write
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import CloudFacts
-from torchreg.types import Clouds, Failure, Features, RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
+from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
 _FORMAT = 2

@@ -17,7 +17,8 @@ from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row, Told, row_of
 from torchreg.errors import expect
 from torchreg.registration import DescribedClouds, derive_options, describe_clouds, register_described
-from torchreg.types import Clouds, RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
+from torchreg.types import Clouds
 
 
 class Job(NamedTuple):

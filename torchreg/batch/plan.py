@@ -14,8 +14,8 @@ from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Told
 from torchreg.registration.describe import without_lengths
 from torchreg.registration.describing import description_options
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.recipes import blocks_of, recipes_of
-from torchreg.types import RegistrationOptions
 
 SLICE_PAIRS = 16
 """Pairs of a slice at most: what is lost when a run is cut off."""

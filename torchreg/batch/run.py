@@ -21,7 +21,7 @@ from torchreg.batch.sameness import options_text, same_pairs
 from torchreg.batch.store import Finished, Store
 from torchreg.batch.survey import Survey, options_of_pairs, own_lengths, survey
 from torchreg.errors import expect
-from torchreg.registration.slices import budget
+from torchreg.registration.plan import budget
 
 
 class Done(NamedTuple):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import RETRIED
 from torchreg.errors import expect
-from torchreg.types import RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
 
 if TYPE_CHECKING:
     from torchreg.batch.store import Finished

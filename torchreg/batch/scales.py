@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping
 from typing import NamedTuple, TypeVar
 
-from torchreg.registration.scale import UNEVEN
+from torchreg.registration.spacing import UNEVEN
 
 Key = TypeVar("Key", bound=Hashable)
 

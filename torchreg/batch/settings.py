@@ -9,8 +9,9 @@ from typing import Any
 
 from torchreg.errors import at_least, expect, one_of
 from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.registration.options import EFFORTS
 from torchreg.registration.overrides import OptionOverrides
-from torchreg.types.options import EFFORTS, SOLVERS
+from torchreg.solvers import SOLVERS
 
 PRESETS = ("default", "paper")
 SCALES = ("shared", "pair")

@@ -14,10 +14,10 @@ from torchreg.batch.pairs import Pair
 from torchreg.batch.progress import Progress, Report
 from torchreg.batch.scales import Scale, shared_scales
 from torchreg.batch.store import Store
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.pair_options import changed
 from torchreg.registration.presets import PAPER
-from torchreg.registration.scale import MAX_POINTS, options_of_spacings
-from torchreg.types import RegistrationOptions
+from torchreg.registration.spacing import MAX_POINTS, options_of_spacings
 
 CloudKey = tuple[CloudSource, float | None]
 """A cloud, and the voxel edge that was given for it."""

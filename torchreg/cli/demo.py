@@ -19,11 +19,12 @@ from torchreg.io import write_cloud, write_result_json, write_transform_text
 from torchreg.metrics import inlier_ratio, pose_errors, recalled_by_rmse
 from torchreg.registration import PAPER, derive_options
 from torchreg.registration.describe import downsample
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.report import DemoRow, demo_figure, demo_sentence, demo_table, save_figure
 from torchreg.report.save import FIGURE_SUFFIXES
 from torchreg.report.text import legible
-from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
+from torchreg.types import Clouds, RegistrationResult
 
 OutFolder = Annotated[
     Path | None,

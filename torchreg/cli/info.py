@@ -13,9 +13,10 @@ from torchreg.cli.output import STANDARD_OUTPUT, standard_output, write_json
 from torchreg.cli.progress import step
 from torchreg.io import CloudFile, read_cloud_report
 from torchreg.io.viewpoint_text import viewpoint_of_text
-from torchreg.registration import derive_options, spacing
+from torchreg.registration import derive_options
 from torchreg.registration.inspect import refuse
-from torchreg.types import RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.spacing import spacing
 
 CloudPath = Annotated[Path, typer.Argument(metavar="FILE", help="A .ply, .pcd or .npz file, coordinates in meters.")]
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass, fields
 
 from torchreg.cli import options as opt
 from torchreg.preprocess import voxel_downsample
-from torchreg.registration import PAPER, derive_options, spacing
+from torchreg.registration import PAPER, derive_options
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.overrides import OptionOverrides
-from torchreg.registration.scale import options_of_spacings, usable
-from torchreg.types import Clouds, RegistrationOptions
+from torchreg.registration.spacing import options_of_spacings, spacing, usable
+from torchreg.types import Clouds
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -97,7 +97,9 @@ def _collect(
     first = torch.stack([source.offsets, target.offsets], dim=1)  # (B+1, 2)
     matches = torch.cat([empty.matches, *(one.matches + at for one, at in zip(outcomes, first[:-1], strict=True))])
     return RegistrationResult(
-        T_target_source=torch.stack([one.T for one in outcomes]) if outcomes else torch.zeros(0, 4, 4, dtype=torch.float64),
+        T_target_source=torch.stack([one.T for one in outcomes])
+        if outcomes
+        else torch.zeros(0, 4, 4, dtype=torch.float64),
         inliers=torch.cat([empty.inliers, *(one.inliers for one in outcomes)]),
         fitness=torch.tensor([one.fitness for one in outcomes], dtype=torch.float64),
         inlier_rmse=torch.tensor([one.inlier_rmse for one in outcomes], dtype=torch.float64),

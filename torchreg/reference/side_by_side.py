@@ -68,7 +68,9 @@ def compare(
     options = replace(options, match_neighbors=1, solver="ransac", effort="plain")
     if features == "fpfh":
         geometry = [each for each in zip(options.descriptors, options.weights, strict=True) if not each[0].needs_colors]
-        options = replace(options, descriptors=[record for record, _ in geometry], weights=[share for _, share in geometry])
+        options = replace(
+            options, descriptors=[record for record, _ in geometry], weights=[share for _, share in geometry]
+        )
     given = source
 
     differences: tuple[DescriptorDifference, ...] = ()

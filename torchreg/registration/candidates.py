@@ -56,7 +56,11 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
         options: of the pairs.
         colored: whether the pairs have colors; without, blocks that need them are left out.
     """
-    blocks = [block for block in zip(options.descriptors, options.weights, strict=True) if colored or not block[0].needs_colors]
+    blocks = [
+        block
+        for block in zip(options.descriptors, options.weights, strict=True)
+        if colored or not block[0].needs_colors
+    ]
     everything = tuple(range(len(blocks)))
     color = [number for number in everything if blocks[number][0].needs_colors]
     geometry = tuple(number for number in everything if number not in color)
@@ -78,7 +82,9 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
 
 
 @stage("matching")
-def match(source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Correspondences:
+def match(
+    source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
+) -> Correspondences:
     """Fuse the recipe's blocks and match them mutually."""
     one, other = (fused(side, recipe, options) for side in (source, target))
     return match_mutual(one, other, ratio=options.ratio, neighbors=recipe.neighbors)

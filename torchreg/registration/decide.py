@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
-from torchreg.solvers import collect
-from torchreg.solvers.compatibility import judged as judged_sets
-from torchreg.solvers.ransac import judged as judged_samples
+from torchreg.solvers import result_of_poses
 from torchreg.types import RegistrationResult
 from torchreg.verification import Care, Lengths, Proposed
 from torchreg.verification.verify import verify
@@ -31,12 +29,8 @@ def decide(
     """The best pose of every pair and the verdict on it."""
     first = options[0]
     if first.effort == "plain":
-        poses = proposed[0].poses
-        if first.solver.name == "ransac":
-            judged = judged_samples([option.ransac for option in options], poses)
-        else:
-            judged = judged_sets([option.inlier_threshold for option in options])
-        return collect(source.cloud, target.cloud, proposed[0].matches, poses, judged)
+        solvers = [option.solver for option in options]
+        return result_of_poses(source.cloud, target.cloud, proposed[0].matches, proposed[0].poses, solvers)
     lengths = [
         Lengths(option.inlier_threshold, max(spacings))
         for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)

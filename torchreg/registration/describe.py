@@ -106,7 +106,8 @@ def describe_clouds(
         expect(not record.is_pairwise, "options.descriptors", "descriptors of each cloud by itself", record)
     facts = facts_of(clouds)
     defects = [
-        one.defect or too_wide(one, description.voxel_size) for one, description in zip(facts, descriptions, strict=True)
+        one.defect or too_wide(one, description.voxel_size)
+        for one, description in zip(facts, descriptions, strict=True)
     ]
     thin = downsample(set_aside(clouds.detach(), defects), [description.voxel_size for description in descriptions])
     return replace(describe_thin(thin, descriptions, max_bytes=max_bytes), facts=facts)
@@ -159,9 +160,7 @@ def oriented(cloud: Clouds, descriptions: Sequence[Description]) -> tuple[Clouds
 
 
 @stage("descriptors")
-def describe(
-    cloud: Clouds, near: Neighborhoods, descriptors: Sequence[Sequence[Descriptor]]
-) -> tuple[Features, ...]:
+def describe(cloud: Clouds, near: Neighborhoods, descriptors: Sequence[Sequence[Descriptor]]) -> tuple[Features, ...]:
     """Features of every descriptor, not yet scaled or weighed.
 
     Args:
@@ -200,7 +199,9 @@ def _described(cloud: Clouds, near: Neighborhoods, records: Sequence[Descriptor]
 def _checked(features: Features, cloud: Clouds, record: Descriptor) -> Features:
     name = f"{type(record).__name__}.describe"
     expect(isinstance(features, Features), name, "Features", features)
-    expect(torch.equal(features.offsets, cloud.offsets), name, f"a row for each of {len(cloud.points)} points", features)
+    expect(
+        torch.equal(features.offsets, cloud.offsets), name, f"a row for each of {len(cloud.points)} points", features
+    )
     expect(features.values.dtype == cloud.points.dtype, name, f"values in {cloud.points.dtype}", features.values)
     return features
 

@@ -205,9 +205,7 @@ def _solver(solver: Solver | str, ransac: RansacOptions | None) -> Solver:
         raise TypeError(f"solver: expected a record such as RansacOptions(), got {solver!r}")
     if ransac is None or isinstance(solver, RansacOptions):
         return ransac or solver
-    return replace(
-        solver, inlier_threshold=ransac.inlier_threshold, local_optimization=ransac.local_optimization
-    )
+    return replace(solver, inlier_threshold=ransac.inlier_threshold, local_optimization=ransac.local_optimization)
 
 
 def _by_former_names(
@@ -235,7 +233,9 @@ def _by_former_names(
             one_of(name, "color", tuple(key for key, kind in DESCRIPTORS.items() if kind.needs_colors))
         colored = [known.get(name, (DESCRIPTORS[name](radius=radius), 1.0)) for name in color]
     if color_weights is not None:
-        expect(len(color_weights) == len(colored), "color_weights", f"one per color block ({len(colored)})", color_weights)
+        expect(
+            len(color_weights) == len(colored), "color_weights", f"one per color block ({len(colored)})", color_weights
+        )
         colored = [(record, weight) for (record, _), weight in zip(colored, color_weights, strict=True)]
     if color is not None or color_weights is not None:
         listed = [item for item in listed if not item[0].needs_colors] + colored

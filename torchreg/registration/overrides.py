@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.presets import PAPER
-from torchreg.types import RegistrationOptions
 
 _T = TypeVar("_T")
 

@@ -24,6 +24,7 @@ from torchreg.registration.inspect import facts_of, refusal, set_aside
 from torchreg.registration.options import RegistrationOptions, solver_by_name
 from torchreg.registration.same_clouds import same_clouds
 from torchreg.registration.spacing import derive_numbered
+from torchreg.registration.stopwatch import stage
 from torchreg.solvers import Solver
 from torchreg.types import Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import offsets_of, spans
@@ -118,6 +119,7 @@ class Plan:
         self._described = {job: cloud.clone() if job in new else cloud for job, cloud in later.items()}
         return sides[0], sides[1]
 
+    @stage("options")
     def _options(
         self,
         source: Clouds,

@@ -1,8 +1,8 @@
 """The whole pipeline: two batches of clouds in, their transforms out.
 
-    downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (registration/describe.py)
-    -> fuse -> match_mutual -> solve                             once per set of features (registration/candidates.py)
-    -> weigh, refine by ICP, judge                               (registration/decide.py)
+downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (registration/describe.py)
+-> fuse -> match_mutual -> solve                             once per set of features (registration/candidates.py)
+-> weigh, refine by ICP, judge                               (registration/decide.py)
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ _running: ContextVar[dict[str, float] | None] = ContextVar("stages", default=Non
 
 @contextmanager
 def stopwatch() -> Iterator[dict[str, float]]:
-    """Collect the wall-clock seconds of every stage that is called within, by its name, in order of their first calls."""
+    """Collect the wall-clock seconds of every stage called within, by name, in the order of their first calls."""
     seconds: dict[str, float] = {}
     before = _running.set(seconds)
     try:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from rich.table import Table
 
 from torchreg.io import CloudFile
+from torchreg.registration.options import RegistrationOptions
 from torchreg.report.options_rows import options_rows
 from torchreg.report.text import meters, plain, two_columns
-from torchreg.types import RegistrationOptions
 
 
 def cloud_table(file: CloudFile, spacing: float, options: RegistrationOptions | None, defect: str) -> Table:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from torchreg.registration.options import RegistrationOptions
 from torchreg.report.text import meters
-from torchreg.types import RegistrationOptions
 
 
 def options_rows(options: RegistrationOptions, *, colored: bool) -> Iterator[tuple[str, str]]:

@@ -1,22 +1,30 @@
-"""What every solver shares: counts by one product, exact scores, refits, distinct poses, the loops, the verdict."""
+"""From matches to poses: the solvers, and what they share. ``SOLVERS`` names each in one line."""
 
-from torchreg.solvers.collect import Judged, collect
-from torchreg.solvers.found import Found, PairPoses
-from torchreg.solvers.loop import one_per_pair, poses_of_pairs
-from torchreg.solvers.points import MatchedPoints
-from torchreg.solvers.proposals import Proposals, proposal_dtype
-from torchreg.solvers.seeds import base_seed, pair_seed
+from torchreg.solvers.batch import one_per_pair, poses_of_pairs
+from torchreg.solvers.compatibility import CompatibilityOptions
+from torchreg.solvers.points import MatchedPoints, base_seed
+from torchreg.solvers.poses import PairPoses
+from torchreg.solvers.ransac import RansacOptions
+from torchreg.solvers.result import result_of_poses, solve
+from torchreg.solvers.solver import Hypotheses, Solver
+
+SOLVERS: dict[str, type[Solver]] = {
+    RansacOptions.name: RansacOptions,
+    CompatibilityOptions.name: CompatibilityOptions,
+}
+"""The solvers of this package by name, in the order in which they are offered."""
 
 __all__ = [
-    "Found",
-    "Judged",
+    "SOLVERS",
+    "CompatibilityOptions",
+    "Hypotheses",
     "MatchedPoints",
     "PairPoses",
-    "Proposals",
+    "RansacOptions",
+    "Solver",
     "base_seed",
-    "collect",
     "one_per_pair",
-    "pair_seed",
     "poses_of_pairs",
-    "proposal_dtype",
+    "result_of_poses",
+    "solve",
 ]

@@ -10,10 +10,25 @@ elementwise float64 operations, for the few with the most proposed inliers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.sums import BLOCK, RowSums
+from torchreg.solvers.points import PairPoints
+
 _TILE_ELEMENTS = 1 << 18  # 1 MB of float32 per tile: product, comparison and count stay in the cache
+_SCORE_ELEMENTS = 1 << 16  # half a megabyte of float64 a temporary: they stay in the cache
+
+
+def proposal_dtype(source: Tensor, target: Tensor, threshold: float) -> torch.dtype:
+    """float32 where its rounding of |R p + t - q|^2 stays far below the squared threshold, else float64."""
+    reach = float(torch.maximum(source.abs().amax(), target.abs().amax()))
+    rounding = 12 * (3 * reach * reach) * torch.finfo(torch.float32).eps
+    return torch.float32 if rounding < 0.1 * threshold * threshold else torch.float64
 
 
 def correspondence_vectors(source: Tensor, target: Tensor) -> Tensor:
@@ -61,3 +76,98 @@ def residuals(rotation: Tensor, translation: Tensor, source: Tensor, target: Ten
         square = moved if square is None else square.add_(moved)
     assert square is not None
     return square
+
+
+def orthonormal(rotation: Tensor) -> Tensor:
+    """The nearest rotations to (3, 3, F) matrices that are rotations up to the rounding of a proposal."""
+    u, _, vh = torch.linalg.svd(rotation.permute(2, 0, 1))
+    nearest: Tensor = u @ vh
+    return nearest.permute(1, 2, 0)
+
+
+Quality = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""From support (H,), error (H,) and squared threshold (H,) to quality (H,)."""
+
+
+def by_count(support: Tensor, error: Tensor, limit: Tensor) -> Tensor:
+    """The number of inliers (RANSAC)."""
+    return support.double()
+
+
+def by_msac(support: Tensor, error: Tensor, limit: Tensor) -> Tensor:
+    """The sum of 1 - (residual / threshold)^2 over the inliers: a close one counts for more than one at the threshold.
+
+    MSAC: Torr and Zisserman, CVIU 78(1), 2000, doi:10.1006/cviu.1999.0832.
+    """
+    return support.double() - error / limit
+
+
+QUALITIES: dict[str, Quality] = {"count": by_count, "msac": by_msac}
+"""What hypotheses are compared by, by the name in a solver's ``scoring``."""
+
+
+class Scored(NamedTuple):
+    """Hypotheses in float64 with exact scores.
+
+    Attributes:
+        rotation: (3, 3, H).
+        translation: (3, H).
+        pair: (H,) int64, whose hypothesis it is.
+        inliers: (H, M) bool, M being that of the longest pair.
+        support: (H,) int64, the number of inliers.
+        error: (H,) sum of squared residuals of the inliers, square meters.
+        quality: (H,) float64, what hypotheses are compared by: the higher, the better.
+    """
+
+    rotation: Tensor
+    translation: Tensor
+    pair: Tensor
+    inliers: Tensor
+    support: Tensor
+    error: Tensor
+    quality: Tensor
+
+    def take(self, index: Tensor) -> Scored:
+        """The hypotheses ``index`` (K,), in that order."""
+        return Scored(*(part[..., index] for part in self[:2]), *(part[index] for part in self[2:]))
+
+    def join(self, other: Scored) -> Scored:
+        """Of every pair these hypotheses, and then the others."""
+        first = [torch.cat(parts, dim=-1) for parts in zip(self[:2], other[:2], strict=True)]
+        both = Scored(*first, *(torch.cat(parts) for parts in zip(self[2:], other[2:], strict=True)))
+        return both.take(both.pair.sort(stable=True).indices)
+
+    def put(self, index: Tensor, other: Scored) -> None:
+        """Overwrite the hypotheses at the places ``index`` (K,) by K others."""
+        for mine, new in zip(self[:2], other[:2], strict=True):
+            mine.index_copy_(-1, index, new)
+        for mine, new in zip(self[2:], other[2:], strict=True):
+            mine.index_copy_(0, index, new)
+
+    def best_first(self) -> Tensor:
+        """Order (H,) by pair, then by quality, then by error, then by place."""
+        order = self.error.sort(stable=True).indices
+        order = order[self.quality[order].sort(descending=True, stable=True).indices]
+        return order[self.pair[order].sort(stable=True).indices]
+
+
+def score(
+    rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints, quality: Quality = by_count
+) -> Scored:
+    """Score hypotheses of the pairs ``pair`` (H,) exactly: residual below the threshold, summed in a fixed order."""
+    columns, limit = points.source.shape[2], points.squared_thresholds()[pair]
+    inliers = points.valid.new_empty(len(pair), columns)
+    error = torch.empty_like(limit)
+    pieces = list(row_chunks(len(pair), -(-columns // BLOCK) * BLOCK, _SCORE_ELEMENTS))
+    sums = RowSums(pieces[0].stop if pieces else 0, columns, pair.device)
+    for rows in pieces:
+        numbers = pair[rows]
+        near = (points.source[:, 0], points.target[:, 0])  # one pair's points need no copy
+        if len(points.counts) > 1:
+            near = (points.source.index_select(1, numbers), points.target.index_select(1, numbers))
+        square = residuals(rotation[..., rows], translation[:, rows], *near)
+        inside = (square < limit[rows, None]).logical_and_(points.valid[numbers])
+        inliers[rows] = inside
+        error[rows] = sums(square.masked_fill_(inside.logical_not_(), 0.0))
+    support = inliers.sum(dim=1)
+    return Scored(rotation, translation, pair, inliers, support, error, quality(support, error, limit))

@@ -6,22 +6,18 @@ from torchreg.types.correspondences import Correspondences
 from torchreg.types.failure import Failure
 from torchreg.types.features import Features
 from torchreg.types.neighborhoods import Neighborhoods
-from torchreg.types.options import CompatibilityOptions, RansacOptions, RegistrationOptions
 from torchreg.types.result import HypothesisCounts, RegistrationResult
 from torchreg.types.soft_correspondences import SoftCorrespondences
 
 __all__ = [
     "Candidate",
     "Clouds",
-    "CompatibilityOptions",
     "Correspondences",
     "Failure",
     "Features",
     "HypothesisCounts",
     "Neighborhoods",
     "Proposal",
-    "RansacOptions",
-    "RegistrationOptions",
     "RegistrationResult",
     "SoftCorrespondences",
     "StageCounts",

@@ -1,7 +1,7 @@
 """Options in meters: fields marked as lengths, so that all lengths of a record change together.
 
-A record marks its lengths where it declares them (``radius: float = length()``), and whatever scales options or compares
-them without their lengths follows from that mark: no list of names has to be kept beside it.
+A record marks its lengths where it declares them (``radius: float = length()``), and whatever scales options or
+compares them without their lengths follows from that mark: no list of names has to be kept beside it.
 """
 
 from __future__ import annotations
@@ -37,9 +37,7 @@ def without_lengths(options: Options) -> Options:
     return _with_lengths(options, lambda _, default: None if default is None else 1.0, without_lengths)
 
 
-def _with_lengths(
-    options: Options, change: Callable[[Any, Any], Any], inside: Callable[[Any], Any]
-) -> Options:
+def _with_lengths(options: Options, change: Callable[[Any, Any], Any], inside: Callable[[Any], Any]) -> Options:
     changes: dict[str, Any] = {}
     for each in fields(options):  # type: ignore[arg-type]
         value = getattr(options, each.name)

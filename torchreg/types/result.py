@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,7 +14,6 @@ from torchreg.types.candidate import Candidate, StageCounts
 from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences
 from torchreg.types.failure import Failure
-from torchreg.types.options import RegistrationOptions
 
 
 class HypothesisCounts(NamedTuple):
@@ -59,7 +58,7 @@ class RegistrationResult:
             with their normals.
         target: B clouds, likewise.
         correspondences: the matches that ``inliers`` speaks of; their rows are those of ``source`` and ``target``.
-        options: what every pair was run with, derived numbers included; empty when made by ``ransac``.
+        options: the ``RegistrationOptions`` of every pair, derived numbers included; empty when made by a solver alone.
         notes: what a user should know of a pair, such as that it had no colors.
         seconds: time of every stage, by name, in order; empty when made by ``ransac``.
         probability: (B,) float64, calibrated, that the transform is right; ``None`` when made by a solver alone,
@@ -88,7 +87,7 @@ class RegistrationResult:
     source: Clouds
     target: Clouds
     correspondences: Correspondences
-    options: tuple[RegistrationOptions, ...] = ()
+    options: tuple[Any, ...] = ()
     notes: tuple[tuple[str, ...], ...] = ()
     seconds: tuple[tuple[str, float], ...] = ()
     probability: Tensor | None = None

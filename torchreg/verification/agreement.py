@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.solvers.verdict import log10_binomial_tail
+from torchreg.solvers.chance import log10_binomial_tail
 
 _REPAIRINGS = 16
 _MOST = 400.0  # powers of ten: beyond it nothing is told apart, and numbers stay finite

@@ -50,7 +50,7 @@ class Poses(NamedTuple):
     def vectors(self, frames: Tensor) -> Tensor:
         """(12, H), whose distances are rms displacements of points, meters.
 
-        As ``torchreg.solvers.distinct.pose_vectors``.
+        As ``torchreg.solvers.poses.pose_vectors``.
 
         Args:
             frames: (G, 4, 3) of every pair's points: the columns of a root of their covariance, and their mean.

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchreg.geometry.se3 import apply_rotation, inverse, rigid
 from torchreg.neighborhoods.coverage import coverage
 from torchreg.solvers import PairPoses
-from torchreg.solvers.distinct import pose_vectors
+from torchreg.solvers.poses import pose_vectors
 from torchreg.types import Candidate
 from torchreg.verification.choose import Choice
 from torchreg.verification.collect import Verdict

@@ -15,9 +15,9 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.datasets import match_problem
-from torchreg.solvers.compatibility import compatibility_poses
-from torchreg.solvers.compatibility import solve as module
-from torchreg.solvers.distinct import pose_vectors
+from torchreg.solvers import poses_of_pairs
+from torchreg.solvers.compatibility import solver as module
+from torchreg.solvers.poses import pose_vectors
 
 EYE = torch.eye(4, dtype=torch.float64)
 OPTIONS = tr.CompatibilityOptions()
@@ -88,7 +88,7 @@ def test_20000_matches_take_less_than_a_gibibyte():
 
 def test_a_rival_pose_survives_beside_the_best():
     problem = match_problem(1000, 0.9, rival=0.07, place="room")
-    poses = compatibility_poses(problem.source, problem.target, problem.matches, [OPTIONS])[0]
+    poses = poses_of_pairs(problem.source, problem.target, problem.matches, [OPTIONS])[0]
     assert poses.support[:2].tolist() == sorted(poses.support[:2].tolist(), reverse=True)
     assert poses.inliers[0][problem.is_inlier].float().mean() > 0.95
     rivals = poses.inliers[1] & ~problem.is_inlier
@@ -99,7 +99,7 @@ def test_a_rival_pose_survives_beside_the_best():
 def test_poses_come_best_first_and_apart(scoring):
     problem = match_problem(800, 0.95, rival=0.03)
     options = tr.CompatibilityOptions(scoring=scoring)
-    poses = compatibility_poses(problem.source, problem.target, problem.matches, [options])[0]
+    poses = poses_of_pairs(problem.source, problem.target, problem.matches, [options])[0]
     assert 2 <= len(poses.support) <= 16
     better = poses.error / 0.2**2 if scoring == "msac" else torch.zeros(())
     quality = poses.support - better
@@ -221,7 +221,7 @@ def test_the_number_of_threads_changes_no_bit_of_any_pose(outlier_ratio):
     for number in THREADS:
         with threads(number):
             options = [tr.CompatibilityOptions(nodes=600)]
-            found.append(tuple(compatibility_poses(problem.source, problem.target, problem.matches, options)[0]))
+            found.append(tuple(poses_of_pairs(problem.source, problem.target, problem.matches, options)[0]))
     assert all(same_bits(one, found[0]) for one in found)
 
 
@@ -245,10 +245,10 @@ def test_how_many_sets_are_fitted_together_does_not_show(sets, monkeypatch):
         for partners, members in ((30, 20), (9, 5), (30, 20), (40, 31))
     ]
     alone = [
-        compatibility_poses(problem.source, problem.target, problem.matches, [own])[0]
+        poses_of_pairs(problem.source, problem.target, problem.matches, [own])[0]
         for problem, own in zip(problems, options, strict=True)
     ]
     monkeypatch.setattr(module, "_SETS", sets)
-    together = compatibility_poses(*pack_problems(problems), options)
+    together = poses_of_pairs(*pack_problems(problems), options)
     assert all(same_bits(tuple(one), tuple(other)) for one, other in zip(together, alone, strict=True))
     assert sum(len(poses.support) > 0 for poses in together) >= 3

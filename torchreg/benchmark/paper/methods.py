@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from torchreg.benchmark.paper.printed import FPFH, FUSED
 from torchreg.registration import PAPER
-from torchreg.types import RegistrationOptions
+from torchreg.registration.options import RegistrationOptions
 
 PLAIN_HUE = "FPFH + PCFH, hue not equalized"
 

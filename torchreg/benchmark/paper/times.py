@@ -22,8 +22,9 @@ from torchreg.benchmark.rows import Rows
 from torchreg.benchmark.timing import interleaved
 from torchreg.descriptors.color import color_values
 from torchreg.registration.describe import describe, fused, oriented
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
-from torchreg.types import Clouds, Features, Neighborhoods, RegistrationOptions
+from torchreg.types import Clouds, Features, Neighborhoods
 
 SPANS = ("descriptors", "with neighborhoods and normals", "whole registration")
 """What is timed, from the least to all."""

@@ -11,7 +11,7 @@ from torchreg.benchmark.peers.method import Answer, Matched, Method, Task, nothi
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference import stages
 from torchreg.reference.legacy import feature, point_cloud
-from torchreg.registration.scale import scaled_options
+from torchreg.registration import options_for
 from torchreg.types import Clouds, Features
 
 
@@ -45,7 +45,7 @@ def fast_global_registration(task: Task) -> Answer:
 
 def _ransac(hypotheses: int, confidence: float) -> Method:
     def run(task: Task) -> Answer:
-        options = scaled_options(task.voxel, colored=False)
+        options = options_for(task.voxel, colored=False)
         told = replace(options.ransac, hypotheses=hypotheses, confidence=confidence)
         result = tr.reference.open3d.register(task.source, task.target, replace(options, ransac=told), seed=task.seed)
         return Answer(

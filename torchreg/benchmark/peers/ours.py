@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import torchreg as tr
 from torchreg.benchmark.peers.method import Answer, Matched, Method, Task
+from torchreg.registration import options_for
 from torchreg.registration.describe import downsample
-from torchreg.registration.scale import scaled_options
 
 Options = Callable[[Task], tr.RegistrationOptions]
 
 
 def fpfh_alone(task: Task) -> tr.RegistrationOptions:
     """FPFH, mutual matches, RANSAC: the procedure that Open3D has too."""
-    return replace(scaled_options(task.voxel, colored=False), effort="plain", solver="ransac")
+    return replace(options_for(task.voxel, colored=False), effort="plain", solver="ransac")
 
 
 def paper_rule(task: Task) -> tr.RegistrationOptions:
@@ -33,7 +33,7 @@ def paper_rule(task: Task) -> tr.RegistrationOptions:
 
 
 def _default(task: Task) -> tr.RegistrationOptions:
-    return scaled_options(task.voxel, colored=_colored(task))
+    return options_for(task.voxel, colored=_colored(task))
 
 
 def _method(name: str, title: str, statement: str, options: Options, effort: str | None = None) -> Method:

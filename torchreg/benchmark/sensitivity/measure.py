@@ -15,8 +15,8 @@ from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.descriptors.pcfh import pcfh
 from torchreg.learning.prepared import PreparedCloud, PreparedPair
 from torchreg.matching import match_mutual
-from torchreg.solvers.ransac import ransac
-from torchreg.types import Features, RansacOptions
+from torchreg.solvers.ransac import RansacOptions, ransac
+from torchreg.types import Features
 
 INLIER_VOXELS, THRESHOLD_VOXELS = 2.0, 1.5
 ROTATION_BOUND, TRANSLATION_VOXELS = 15.0, 6.0

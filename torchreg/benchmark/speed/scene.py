@@ -12,7 +12,7 @@ from torchreg.descriptors.pcfh import pcfh
 from torchreg.matching import match_mutual
 from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import estimate_normals, random_downsample
-from torchreg.registration import spacing
+from torchreg.registration.spacing import spacing
 from torchreg.types import Clouds, Correspondences, Features, Neighborhoods
 
 NEIGHBORS = 100

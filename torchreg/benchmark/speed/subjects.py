@@ -24,9 +24,9 @@ from torchreg.preprocess import estimate_normals
 from torchreg.reference import open3d
 from torchreg.reference.legacy import feature, hybrid, point_cloud
 from torchreg.registration import PAPER
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
-from torchreg.solvers.ransac import ransac
-from torchreg.types import RansacOptions, RegistrationOptions
+from torchreg.solvers.ransac import RansacOptions, ransac
 
 OURS, COMPILED, CLASSIC, TENSOR = "torchreg", "torchreg, compiled", "Open3D", "Open3D, tensor"
 METHODS = (OURS, COMPILED, CLASSIC, TENSOR)

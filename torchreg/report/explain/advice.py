@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.facts import Facts
 from torchreg.report.explain.verdict import FIRM
 from torchreg.report.explain.words import chance, meters, number, odds, part, percent
-from torchreg.types import RegistrationOptions
 
 _MOST = 2
 _LIKELY = 0.9

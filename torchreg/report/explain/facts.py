@@ -8,7 +8,8 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.types import Candidate, Failure, RegistrationOptions, RegistrationResult, StageCounts
+from torchreg.registration.options import RegistrationOptions
+from torchreg.types import Candidate, Failure, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.facts import Facts
 from torchreg.report.explain.words import chance, columns, indented, line, meters, number, part, percent
 from torchreg.types.candidate import Candidate, Proposal, StageCounts
-from torchreg.types.options import RegistrationOptions
 
 _SHOWN = 6
 _HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")

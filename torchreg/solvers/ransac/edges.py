@@ -1,4 +1,10 @@
-"""The edge test on many samples: of every edge by itself, or looked up where a pair has few correspondences.
+"""Samples that cannot be right, told from the lengths of their edges before any solve.
+
+A rigid motion keeps lengths. So a sample is dropped when an edge of its polygon in one cloud is shorter than
+``edge_similarity`` times the same edge in the other (as Open3D's CorrespondenceCheckerBasedOnEdgeLength; the
+paper: 0.9), or when it has no length: a point twice. And a transform that brings both ends of an edge within a
+threshold of their partners changes its length by no more than twice the threshold; what changes more needs no solve
+to be known not to fit.
 
 There are as many edges among 180 correspondences as in 10,000 samples, and a run draws 600,000. So once the samples
 drawn are many enough, the marks of all edges are made at once, and a sample costs three reads from a table that
@@ -13,10 +19,14 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.solvers.ransac.prune import FITTING, edge_marks, fitting_slack
 
 _TABLE_EDGES = 1 << 23  # bytes of a table at most
 _EDGES_PER_SAMPLE = 16  # an entry of the table costs so much less than the edges of a sample: measured on two cores
+_ROUNDINGS = 1024  # far above the rounding of a length, of a solve and of a residual, in units of the coordinates
+_WIDER = 1.02  # likewise, of the threshold
+
+DISSIMILAR, SIMILAR, FITTING = 0, 1, 2
+"""Marks of an edge: what fits is also similar."""
 
 
 class Edges:
@@ -62,3 +72,33 @@ class Edges:
             for rows in row_chunks(count, 3 * count)
         ]
         return torch.cat(parts).flatten()
+
+
+def edge_marks(source: Tensor, target: Tensor, similarity: float, slack: float) -> Tensor:
+    """Judge edges.
+
+    Args:
+        source: (3, ...) differences of two points, meters.
+        target: (3, ...) differences of their partners.
+        similarity: in [0, 1], of the lengths of a similar edge.
+        slack: meters, by which the lengths of a fitting edge differ at most.
+
+    Returns:
+        (...) uint8: ``DISSIMILAR``, ``SIMILAR`` or ``FITTING``.
+    """
+    limit = similarity * similarity
+    a, b = _square(source), _square(target)
+    similar = (a >= limit * b) & (b >= limit * a) & (a > 0) & (b > 0)
+    apart = a.sqrt_().sub_(b.sqrt_()).abs_() > slack
+    return similar.to(torch.uint8).mul_(FITTING - apart.to(torch.uint8))
+
+
+def fitting_slack(source: Tensor, target: Tensor, threshold: float) -> float:
+    """By how much lengths among points (3, M) and among their partners differ where both ends of an edge fit."""
+    reach = float(torch.maximum(source.abs().amax(), target.abs().amax()))
+    return 2 * _WIDER * threshold + _ROUNDINGS * reach * torch.finfo(source.dtype).eps
+
+
+def _square(vectors: Tensor) -> Tensor:
+    x, y, z = vectors.unbind(0)
+    return x * x + y * y + z * z

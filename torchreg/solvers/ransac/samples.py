@@ -1,4 +1,4 @@
-"""The rigid transform of a minimal sample in closed form, for many samples at once.
+"""Minimal samples: drawn the same for a pair wherever it stands, and their rigid transforms in closed form.
 
 Three points lie in a plane, and the best rotation takes plane to plane: it aligns the normals of the two
 triangles, and within the plane it is the two-dimensional least-squares rotation about the centroid. That is
@@ -7,10 +7,30 @@ the Kabsch solution, without a singular value decomposition. Larger samples go t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 from torch import Tensor
 
 from torchreg.geometry.kabsch import kabsch
+
+FIRST_ROUND = 1 << 12
+"""Hypotheses drawn at first, so that easy pairs stop soon; every round draws twice as many as the one before."""
+
+LARGEST_ROUND = 1 << 15
+"""Until so many; constants, since the stream of draws depends on them."""
+
+_MIN_SINE = 0.05  # of the angle at the first point: about 3 degrees
+
+
+def sample_rounds(count: int, size: int, total: int, seed: int, device: torch.device) -> Iterator[Tensor]:
+    """Yield samples (R, size) int64 in [0, count), with replacement, until ``total`` are drawn."""
+    generator = torch.Generator().manual_seed(seed)
+    number, begin = FIRST_ROUND, 0
+    while begin < total:
+        drawn = torch.randint(count, (min(number, total - begin), size), generator=generator)
+        yield drawn.to(device)
+        begin, number = begin + number, min(2 * number, LARGEST_ROUND)
 
 
 def solve_samples(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -19,6 +39,13 @@ def solve_samples(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         return _solve_triangles(source, target)
     T = kabsch(source.permute(2, 1, 0), target.permute(2, 1, 0))
     return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t()
+
+
+def spans_plane(points: Tensor) -> Tensor:
+    """(...) bool: the first three points of samples (3, S, ...) are not nearly on a line."""
+    u, v = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    normal = _cross(u, v)
+    return _dot(normal, normal) > (_MIN_SINE * _MIN_SINE) * (_dot(u, u) * _dot(v, v))
 
 
 def sample_fits(source: Tensor, target: Tensor, rotation: Tensor, translation: Tensor, threshold: float) -> Tensor:

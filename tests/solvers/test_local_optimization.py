@@ -7,9 +7,11 @@ from closeness import close
 from determinism import THREADS, same_bits, threads
 from problems import correspondence_problem, random_rotation
 
-from torchreg.solvers.fit import fit
+from torchreg.solvers.local_optimization import fit, optimize
 from torchreg.solvers.points import PairPoints
-from torchreg.solvers.refine import best_first, by_count, by_msac, optimize, score
+from torchreg.solvers.scoring import by_count, by_msac, score
+
+CENTERS = (torch.zeros(1, 3, dtype=torch.float64),) * 2
 
 
 def columns(problem):
@@ -21,7 +23,7 @@ def columns(problem):
 def one_pair(source, target, threshold=0.2):
     """The points (3, M) twice of a single pair."""
     valid = torch.ones(1, source.shape[1], dtype=torch.bool)
-    return PairPoints(source[:, None], target[:, None], valid, (source.shape[1],), (threshold,))
+    return PairPoints(source[:, None], target[:, None], valid, (source.shape[1],), (threshold,), *CENTERS, (0,))
 
 
 def side_by_side(pairs):
@@ -33,7 +35,9 @@ def side_by_side(pairs):
         for part in ([pair.source for pair in pairs], [pair.target for pair in pairs])
     ]
     valid = torch.arange(width) < torch.tensor(counts)[:, None]
-    return PairPoints(*sides, valid, tuple(counts), tuple(pair.thresholds[0] for pair in pairs))
+    thresholds = tuple(pair.thresholds[0] for pair in pairs)
+    centers = (center.expand(len(pairs), 3) for center in CENTERS)
+    return PairPoints(*sides, valid, tuple(counts), thresholds, *centers, (0,) * len(pairs))
 
 
 def all_of(pair, count):
@@ -72,11 +76,11 @@ def test_the_best_comes_first():
     problem = correspondence_problem(200)
     points = one_pair(*columns(problem))
     scored = scores(*near_truth(problem, 20), points)
-    ordered = scored.take(best_first(scored))
+    ordered = scored.take(scored.best_first())
     keys = list(zip((-ordered.support).tolist(), ordered.error.tolist(), strict=True))
     assert keys == sorted(keys)
     twice = scored.take(torch.tensor([3, 3, 3]))
-    assert best_first(twice).tolist() == [0, 1, 2]
+    assert twice.best_first().tolist() == [0, 1, 2]
 
 
 def test_the_fit_to_inliers_is_that_of_numpy():
@@ -148,10 +152,10 @@ def test_a_pair_has_its_bits_whatever_pairs_stand_beside_it():
     poses = (torch.cat(part, dim=-1) for part in zip(*near, strict=True))
     scored = score(*poses, pair, beside, by_msac)
     together = optimize(scored, beside, 5, by_msac)
-    together = together.take(best_first(together))
+    together = together.take(together.best_first())
     for place, points in enumerate(singles):
         alone = optimize(scores(*near[place], points, by_msac), points, 5, by_msac)
-        alone = alone.take(best_first(alone))
+        alone = alone.take(alone.best_first())
         own = together.take((together.pair == place).nonzero()[:, 0])
         assert not own.inliers[:, points.counts[0] :].any()
         own = own._replace(pair=alone.pair, inliers=own.inliers[:, : points.counts[0]])
@@ -164,8 +168,8 @@ def test_the_size_of_the_pieces_changes_nothing(elements, monkeypatch):
     points = one_pair(*columns(problem))
     start = scores(*near_truth(problem, 9), points)
     expected = optimize(start, points, 3)
-    monkeypatch.setattr("torchreg.solvers.fit._SUM_ELEMENTS", elements)
-    monkeypatch.setattr("torchreg.solvers.refine._SCORE_ELEMENTS", elements)
+    monkeypatch.setattr("torchreg.solvers.local_optimization._SUM_ELEMENTS", elements)
+    monkeypatch.setattr("torchreg.solvers.scoring._SCORE_ELEMENTS", elements)
     assert same_bits(tuple(scores(*near_truth(problem, 9), points)), tuple(start))
     assert same_bits(tuple(optimize(start, points, 3)), tuple(expected))
 
@@ -205,5 +209,5 @@ def test_msac_prefers_a_closer_fit_to_one_more_inlier():
     for quality in (by_count, by_msac):
         scored = scores(rotation, step, one_pair(source, target), quality)
         assert scored.support.tolist() == [59, 60]
-        first[quality] = int(best_first(scored)[0])
+        first[quality] = int(scored.best_first()[0])
     assert first == {by_count: 1, by_msac: 0}

@@ -12,7 +12,7 @@ from problems import Problem, correspondence_problem, matched, pack_problems
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.solvers.ransac.sampling import FIRST_ROUND
+from torchreg.solvers.ransac.samples import FIRST_ROUND
 
 EYE = torch.eye(4, dtype=torch.float64)
 FEW = tr.RansacOptions(hypotheses=20_000)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from problems import correspondence_problem
 
 import torchreg as tr
-from torchreg.solvers.verdict import chance_rate, log10_binomial_tail, log10_false_alarms, refusal
+from torchreg.solvers.chance import chance_rate, log10_binomial_tail, log10_false_alarms, no_consensus
 
 
 @given(st.integers(1, 60), st.integers(-3, 65), st.integers(1, 999))
@@ -65,10 +65,13 @@ def test_more_hypotheses_have_more_false_alarms():
     assert many == pytest.approx(few + 2)
 
 
-def test_a_refusal_names_the_numbers():
-    assert refusal(50, 100, -20.0) == ""
-    assert "7 of 100" in refusal(7, 100, -3.0)
-    assert "10^-3.0" in refusal(7, 100, -3.0)
+def test_a_failure_names_the_numbers():
+    assert no_consensus(50, 100, -20.0) is None
+    failure = no_consensus(7, 100, -3.0)
+    assert failure.kind == "no consensus"
+    assert "7 of 100" in failure.text
+    assert "10^-3.0" in failure.text
+    assert failure.figures == {"support": 7, "matches": 100, "log10_false_alarms": -3.0}
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -54,7 +54,7 @@ def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, samp
     return math.log10(tests) + min(tails)
 
 
-def refusal(support: int, matches: int, alarms: float) -> Failure | None:
+def no_consensus(support: int, matches: int, alarms: float) -> Failure | None:
     """Why a winner with so many inliers and false alarms (log10) is no success; ``None`` where it is one."""
     if alarms <= LOG10_FALSE_ALARMS:
         return None

@@ -10,9 +10,8 @@ from problems import matched, random_rotation
 
 import torchreg as tr
 from torchreg.datasets import match_problem
-from torchreg.solvers.distinct import pose_vectors, spread_out, spread_out_pairs
-from torchreg.solvers.proposals import APART, POSES, Proposals
-from torchreg.solvers.ransac import ransac_poses
+from torchreg.solvers import Hypotheses, MatchedPoints, poses_of_pairs
+from torchreg.solvers.poses import APART, POSES, pose_vectors, spread_out, spread_out_pairs
 
 OPTIONS = tr.RansacOptions(hypotheses=50_000)
 
@@ -65,7 +64,7 @@ def test_the_choice_among_several_pairs_is_that_among_each(seed, counts, most):
 def test_a_dominating_mode_does_not_push_out_another():
     # a rival with a quarter of the support: by count alone it comes after hundreds of hypotheses of the best mode
     problem = match_problem(1000, 0.6, rival=0.1, place="room")
-    found = ransac_poses(problem.source, problem.target, problem.matches, [OPTIONS], 0)[0]
+    found = poses_of_pairs(problem.source, problem.target, problem.matches, [OPTIONS], 0)[0]
     assert found.inliers[0][problem.is_inlier].all()
     rivals = found.inliers[1] & ~problem.is_inlier
     assert rivals.sum() >= 99
@@ -74,7 +73,7 @@ def test_a_dominating_mode_does_not_push_out_another():
 
 def test_poses_are_apart_and_no_more_than_promised():
     problem = match_problem(500, 0.9)
-    found = ransac_poses(problem.source, problem.target, problem.matches, [OPTIONS], 0)[0]
+    found = poses_of_pairs(problem.source, problem.target, problem.matches, [OPTIONS], 0)[0]
     assert 1 < len(found.support) <= POSES
     source = problem.source.points[problem.matches.source].t()
     vectors = pose_vectors(found.rotation.permute(1, 2, 0), found.translation.t(), source)
@@ -85,7 +84,7 @@ def test_poses_are_apart_and_no_more_than_promised():
 def test_the_poses_hold_in_the_frames_of_the_points():
     problem = match_problem(500, 0.7)
     far = tr.Clouds(points=problem.source.points, origin=torch.tensor([[5e5, 1e6, 3.0]], dtype=torch.float64))
-    found = ransac_poses(far, problem.target, problem.matches, [OPTIONS], 0)[0]
+    found = poses_of_pairs(far, problem.target, problem.matches, [OPTIONS], 0)[0]
     for h in range(len(found.support)):
         moved = problem.source.points @ found.rotation[h].t() + found.translation[h]
         square = (moved[problem.matches.source] - problem.target.points[problem.matches.target]).square().sum(dim=1)
@@ -97,10 +96,10 @@ def test_the_poses_hold_in_the_frames_of_the_points():
 def test_no_pose_comes_with_a_reason():
     cloud = tr.Clouds(points=torch.ones(30, 3))
     rows = torch.arange(30)
-    found = ransac_poses(cloud, cloud, matched(rows, rows), [OPTIONS], 0)[0]
+    found = poses_of_pairs(cloud, cloud, matched(rows, rows), [OPTIONS], 0)[0]
     assert found.rotation.shape == (0, 3, 3)
     assert found.inliers.shape == (0, 30)
-    assert found.reason.startswith("no hypothesis left")
+    assert found.failure.text.startswith("no hypothesis left")
 
 
 @pytest.mark.parametrize("outlier_ratio", [0.6, 1.0])
@@ -109,20 +108,24 @@ def test_the_number_of_threads_changes_no_bit_of_any_pose(outlier_ratio):
     found = []
     for number in THREADS:
         with threads(number):
-            found.append(tuple(ransac_poses(problem.source, problem.target, problem.matches, [OPTIONS], 0)[0]))
+            found.append(tuple(poses_of_pairs(problem.source, problem.target, problem.matches, [OPTIONS], 0)[0]))
     assert all(same_bits(one, found[0]) for one in found)
 
 
-def test_proposals_keep_the_best_in_their_order(monkeypatch):
+def test_hypotheses_keep_the_best_in_their_order(monkeypatch):
     rotation, translation = poses(300)
-    counts = torch.randint(40, (300,), generator=torch.Generator().manual_seed(1)).float()
-    expected = sorted(range(300), key=lambda h: (-counts[h], h))[:20]
-    monkeypatch.setattr("torchreg.solvers.proposals._STORED", 30)
-    proposals = Proposals(torch.device("cpu"), torch.float64)
+    source, target = torch.rand(2, 3, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    monkeypatch.setattr("torchreg.solvers.solver._STORED", 30)
+    hypotheses = Hypotheses(MatchedPoints(source, target, 0), 1e-3 + 1.0)
+    assert hypotheses.failure.kind == "no hypothesis"
+    counts = []
     for begin in range(0, 300, 50):
         part = slice(begin, begin + 50)
-        proposals.add(rotation[..., part], translation[:, part], counts[part])
-    best_rotation, best_translation = proposals.best(20)
-    assert proposals.total == 300
-    assert torch.equal(best_translation, translation[:, expected])
-    assert torch.equal(best_rotation, rotation[..., expected])
+        counts += hypotheses.add(rotation[..., part], translation[:, part]).tolist()
+    assert len(set(counts)) > 5
+    expected = sorted(range(300), key=lambda h: (-counts[h], h))[:20]
+    best_rotation, best_translation = hypotheses.best(20)
+    assert (hypotheses.total, hypotheses.failure) == (300, None)
+    assert hypotheses.stored <= 60
+    assert torch.equal(best_translation, translation[:, expected].to(hypotheses.dtype))
+    assert torch.equal(best_rotation, rotation[..., expected].to(hypotheses.dtype))

@@ -1,4 +1,4 @@
-"""The closed form of a triangle against Kabsch, and whether samples fit."""
+"""Draws follow from the seed and the pair alone; the closed form of a triangle against Kabsch; whether samples fit."""
 
 import pytest
 import torch
@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from problems import random_transform
 
 import torchreg as tr
-from torchreg.solvers.ransac.minimal import sample_fits, solve_samples
+from torchreg.solvers.ransac.samples import FIRST_ROUND, sample_fits, sample_rounds, solve_samples, spans_plane
+
+CPU = torch.device("cpu")
 
 
 def samples(count, size=3, seed=0, noise=0.0, dtype=torch.float64):
@@ -99,3 +101,43 @@ def test_a_sample_fits_when_every_point_does():
     target[1, 2, 3] += 0.1  # at it
     eye = torch.eye(3)[..., None].expand(3, 3, 4)
     assert sample_fits(source, target, eye, torch.zeros(3, 4), 0.1).tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(("degrees", "spans"), [(0.0, False), (2.0, False), (4.0, True), (90.0, True), (178.0, False)])
+def test_points_nearly_on_a_line_leave_the_rotation_open(degrees, spans):
+    angle = torch.tensor(degrees).deg2rad()
+    points = torch.tensor([[0.0, 0, 0], [2, 0, 0], [float(angle.cos()), float(angle.sin()), 0]]).t()[..., None]
+    assert spans_plane(points).tolist() == [spans]
+    assert spans_plane(1e3 * points + 7).tolist() == [spans]
+
+
+def test_coincident_points_span_nothing():
+    assert spans_plane(torch.ones(3, 3, 2)).tolist() == [False, False]
+
+
+@given(st.integers(1, 50), st.integers(3, 5), st.integers(1, 5000), st.integers(0, 2**60))
+def test_exactly_so_many_samples_in_range(count, size, total, seed):
+    samples = torch.cat(list(sample_rounds(count, size, total, seed, CPU)))
+    assert samples.shape == (total, size)
+    assert samples.min() >= 0
+    assert samples.max() < count
+
+
+def test_a_smaller_total_draws_the_same_first_rounds():
+    rounds = list(sample_rounds(100, 3, 200_000, 7, CPU))
+    few = torch.cat(list(sample_rounds(100, 3, 3 * FIRST_ROUND, 7, CPU)))
+    assert torch.equal(torch.cat(rounds[:2]), few)
+    assert not torch.equal(rounds[1][:FIRST_ROUND], rounds[0])
+    assert [len(drawn) for drawn in rounds[:6]] == [1 << 12, 1 << 13, 1 << 14, 1 << 15, 1 << 15, 1 << 15]
+
+
+def test_every_correspondence_is_as_likely():
+    samples = torch.cat(list(sample_rounds(10, 3, 20_000, 1, CPU)))
+    counts = torch.bincount(samples.flatten(), minlength=10)
+    assert (counts - 6000).abs().max() < 6 * 6000**0.5
+
+
+def test_the_global_generator_is_left_alone():
+    before = torch.get_rng_state()
+    list(sample_rounds(5, 3, 10, 2, CPU))
+    assert torch.equal(torch.get_rng_state(), before)

@@ -1,4 +1,8 @@
-"""Least squares to the inliers of many hypotheses at once, every sum in the order of its inliers."""
+"""Hypotheses refitted to their inliers by least squares, those of many pairs together.
+
+Local optimization as in LO-RANSAC (Chum, Matas and Kittler, DAGM 2003, doi:10.1007/978-3-540-45243-0_31), its
+plain form: fit to the inliers, score again, and go on while the quality grows, or the error falls at equal quality.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,26 @@ from torchreg.geometry.kabsch import from_moments
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.sums import BLOCK, RowSums
 from torchreg.solvers.points import PairPoints
+from torchreg.solvers.scoring import Quality, Scored, by_count, score
 
 _SUM_ELEMENTS = 1 << 16  # half a megabyte of float64: what is summed stays in the cache
+
+
+def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality = by_count) -> Scored:
+    """Refit hypotheses to their inliers until none gets better, at most ``rounds`` times."""
+    scored = Scored(*(part.clone() for part in scored))
+    active = torch.arange(len(scored.support), device=scored.pair.device)
+    before = scored
+    for _ in range(rounds):
+        refitted = score(*fit(before.inliers, before.pair, points), before.pair, points, quality)
+        better = refitted.quality > before.quality
+        better |= (refitted.quality == before.quality) & (refitted.error < before.error)
+        gained = better.nonzero()[:, 0]
+        if len(gained) == 0:
+            break
+        active, before = active[gained], refitted.take(gained)
+        scored.put(active, before)
+    return scored
 
 
 def fit(inliers: Tensor, pair: Tensor, points: PairPoints) -> tuple[Tensor, Tensor]:
