@@ -8,22 +8,15 @@ from torchreg.solvers import collect
 from torchreg.solvers.compatibility import judged as judged_sets
 from torchreg.solvers.ransac import judged as judged_samples
 from torchreg.types import Clouds, RegistrationOptions, RegistrationResult
-from torchreg.verification import Care, Lengths, Proposed
+from torchreg.verification import WORK, PairLengths, ProposedPoses
 from torchreg.verification.verify import verify
-
-CARE = {
-    "fast": Care(poses=6, sample=600, refined=1, iterations=5, accepted=0.75),
-    "balanced": Care(poses=10, sample=1000, refined=3, iterations=10),
-    "thorough": Care(poses=16, sample=1500, refined=8, iterations=20),
-}
-"""How closely candidates are looked at, by effort; points far apart tell less, so that fast asks for more."""
 
 
 def decide(
     source: Clouds,
     target: Clouds,
     spacings: tuple[Sequence[float], Sequence[float]],
-    proposed: Sequence[Proposed],
+    proposed: Sequence[ProposedPoses],
     options: Sequence[RegistrationOptions],
 ) -> RegistrationResult:
     """The best pose of every pair and the verdict on it; ``spacings`` are those of both sides' points, meters."""
@@ -36,7 +29,7 @@ def decide(
             judged = judged_sets([option.ransac.inlier_threshold for option in options])
         return collect(source, target, proposed[0].matches, poses, judged)
     lengths = [
-        Lengths(option.ransac.inlier_threshold, max(apart))
+        PairLengths(option.ransac.inlier_threshold, max(apart))
         for option, apart in zip(options, zip(*spacings, strict=True), strict=True)
     ]
-    return verify(source, target, proposed, lengths, CARE[first.effort])
+    return verify(source, target, proposed, lengths, WORK[first.effort])

@@ -14,8 +14,7 @@ from torchreg.registration.recipes import blocks_of, match, recipes_of, solve
 from torchreg.registration.stopwatch import Stopwatch
 from torchreg.types import RegistrationOptions, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
-from torchreg.verification import Proposed
-from torchreg.verification.verify import proposals_of
+from torchreg.verification import ProposedPoses, proposals_of
 
 
 def register_described(
@@ -61,7 +60,7 @@ def register_described(
     matches = [match(*sides, recipe, options[0].ratio, options[0].root) for recipe in recipes]
     watch.lap("matching")
     proposed = [
-        Proposed(recipe.words, found, solve(*clouds, found, recipe, options, seed))
+        ProposedPoses(recipe.words, found, solve(*clouds, found, recipe, options, seed))
         for recipe, found in zip(recipes, matches, strict=True)
     ]
     watch.lap("hypotheses")
@@ -86,7 +85,7 @@ def _without(side: DescribedClouds, refused: Sequence[object]) -> DescribedCloud
 
 
 def _stage_counts(
-    source: DescribedClouds, target: DescribedClouds, proposed: Sequence[Proposed]
+    source: DescribedClouds, target: DescribedClouds, proposed: Sequence[ProposedPoses]
 ) -> tuple[StageCounts, ...]:
     """What each stage of every pair had."""
     described = [
