@@ -2,19 +2,22 @@
 
     python bench/verdict.py                 runs all cases (some minutes), then fits, validates and draws
     python bench/verdict.py --keep FILE     keeps the candidates of all cases there; used again where it exists
+    python bench/verdict.py --ship          also writes the weights that come with the library
 
-Every case of ``cases.py`` is registered with effort "balanced". The weights of ``torchreg/verification/model.py`` are
-those of a conditional logit over the candidates of every case, by maximum likelihood, held by a ridge to weights that
-were set by hand. For the figures a scene is left out in turn: the weights are fitted to the cases that have nothing to
-do with it and judged on the rest.
-Written: bench/results/verdict.json, docs/verdict.png and the table in README.md.
+Every case of ``cases.py`` is registered with effort "balanced". The weights are those of a conditional logit over the
+candidates of every case, by maximum likelihood, held by a ridge to weights that were set by hand. For the figures a
+scene is left out in turn: the weights are fitted to the cases that have nothing to do with it and judged on the rest.
+Written: bench/results/verdict.json, docs/verdict.png and the table in README.md; with ``--ship``
+torchreg/verification/weights.json, rounded to two decimals, which every verdict from then on depends on.
 """
 
 from __future__ import annotations
 
 import argparse
 import pickle
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from datetime import date
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,8 +31,7 @@ from torch import Tensor
 import torchreg as tr
 from torchreg import metrics
 from torchreg.registration import options_for
-from torchreg.verification.evidence import Evidence
-from torchreg.verification.model import MODEL, PRIOR, probabilities, terms
+from torchreg.verification.model import TERMS, Evidence, probabilities, save_terms, term_values
 from torchreg.verification.reasons import ACCEPTED, MARGIN, accepted
 
 RIDGE = 10.0
@@ -50,18 +52,18 @@ class Seen(NamedTuple):
 def look(case: Case) -> Seen:
     """Register one case."""
     options = options_for(case.voxel, colored=case.source.colors is not None)
-    found = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
+    candidates = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
 
     def column(name: str) -> Tensor:
-        return torch.tensor([getattr(candidate, name) for candidate in found], dtype=torch.float64)
+        return torch.tensor([getattr(candidate, name) for candidate in candidates], dtype=torch.float64)
 
     seen = Evidence(*map(column, Evidence._fields))
-    right = torch.zeros(len(found), dtype=torch.bool)
-    if case.truth is not None and found:
-        T = torch.stack([candidate.T_target_source for candidate in found])
+    right = torch.zeros(len(candidates), dtype=torch.bool)
+    if case.truth is not None and candidates:
+        T = torch.stack([candidate.T_target_source for candidate in candidates])
         right = metrics.rre(case.truth, T) < ROTATION_BOUND
         right &= metrics.rte(case.truth, T) < TRANSLATION_VOXELS * case.voxel
-    return Seen(case.name, case.kind, case.scenes, terms(seen, column("surprise")), right)
+    return Seen(case.name, case.kind, case.scenes, term_values(seen, column("surprise")), right)
 
 
 def share_of(part: int) -> list[Seen]:
@@ -72,7 +74,7 @@ def share_of(part: int) -> list[Seen]:
 
 def fit(seen: list[Seen]) -> Tensor:
     """Weights (D,) by maximum likelihood, held to the prior by the ridge."""
-    prior = torch.tensor(list(PRIOR.values()), dtype=torch.float64)
+    prior = torch.tensor([term.prior for term in TERMS.values()], dtype=torch.float64)
     most = max(len(case.terms) for case in seen)
     numbers = torch.zeros(len(seen), most, len(prior), dtype=torch.float64)
     legal, right = torch.zeros(2, len(seen), most, dtype=torch.bool)
@@ -118,11 +120,11 @@ def judge(case: Seen, weights: Tensor) -> Judged:
 
 def cross_validated(seen: list[Seen]) -> list[Judged]:
     """Every case judged by weights that know none of its scenes."""
-    found = []
+    judged = []
     for scenes in dict.fromkeys(case.scenes for case in seen):
         weights = fit([case for case in seen if not set(case.scenes) & set(scenes)])
-        found += [judge(case, weights) for case in seen if case.scenes == scenes]
-    return found
+        judged += [judge(case, weights) for case in seen if case.scenes == scenes]
+    return judged
 
 
 def summary(judged: list[Judged], kinds: tuple[str, ...]) -> dict[str, Any]:
@@ -146,6 +148,34 @@ GROUPS = {
     "real pairs without colors": ("gray",),
     "real pairs without viewpoints": ("blind",),
 }
+
+
+def ship(weights: Tensor, typical: Tensor, seen: list[Seen], groups: dict[str, Any], facts: dict[str, Any]) -> None:
+    """Write the weights that come with the library, with where they come from."""
+    terms = {
+        name: term._replace(weight=round(weight, 2), typical=round(mean, 2))
+        for (name, term), weight, mean in zip(TERMS.items(), weights.tolist(), typical.tolist(), strict=True)
+    }
+    provenance = {
+        "content": "terms of the log-odds that a pose is right: weight times value, added up; read by "
+        "torchreg/verification/model.py",
+        "command": "python bench/verdict.py --ship",
+        "fitted": {
+            "how": "conditional logit over the candidates of every case, none of them being right one of its outcomes; "
+            f'maximum likelihood, held to the priors by a ridge of {RIDGE:g} (all but "one"); rounded to two decimals',
+            "cases": dict(Counter(case.kind for case in seen)),
+            "effort": "balanced",
+            "bounds": "of the evidence, set by hand",
+            "commit": facts["commit"],
+        },
+        "validated": {
+            "how": "every case judged by weights that were fitted without its scenes",
+            "date": date.today().isoformat(),
+            "machine": facts,
+            "groups": groups,
+        },
+    }
+    save_terms(terms, provenance)
 
 
 def draw(judged: list[Judged], path: Path) -> None:
@@ -187,6 +217,7 @@ def draw(judged: list[Judged], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, help="a file for the candidates of all cases")
+    parser.add_argument("--ship", action="store_true", help="write the weights that come with the library")
     arguments = parser.parse_args()
     if not REAL.exists():
         raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
@@ -201,7 +232,7 @@ def main() -> None:
     won = [case.terms[int((case.terms @ weights).argmax())] for case in seen if bool(case.right.any())]
     typical = torch.stack(won).mean(dim=0)
     for name, known in (("colors", "colored"), ("conflict", "seen")):  # over those that have any
-        place, flag = list(MODEL).index(name), list(MODEL).index(known)
+        place, flag = list(TERMS).index(name), list(TERMS).index(known)
         typical[place] /= typical[flag]
         typical[flag] = 1.0
     judged = cross_validated(seen)
@@ -211,8 +242,8 @@ def main() -> None:
         "verdict",
         {
             "machine": facts,
-            "weights": dict(zip(MODEL, weights.tolist(), strict=True)),
-            "typical": dict(zip(MODEL, typical.tolist(), strict=True)),
+            "weights": dict(zip(TERMS, weights.tolist(), strict=True)),
+            "typical": dict(zip(TERMS, typical.tolist(), strict=True)),
             "least_probability": ACCEPTED,
             "least_margin": MARGIN,
             "groups": groups,
@@ -220,8 +251,10 @@ def main() -> None:
         },
     )
     draw(judged, ROOT / "docs" / "verdict.png")
-    for name, weight, mean in zip(MODEL, weights.tolist(), typical.tolist(), strict=True):
-        print(f'    "{name}": ({weight:.2f}, {mean:.2f}),')
+    for name, weight, mean in zip(TERMS, weights.tolist(), typical.tolist(), strict=True):
+        print(f"{name:10} {weight:6.2f} {mean:6.2f}")
+    if arguments.ship:
+        ship(weights, typical, seen, groups, facts)
     head = ["pairs", "right", "of them refused", "wrong", "of them called a success"]
     rows = [
         [

@@ -1,9 +1,9 @@
-"""Matches speak for a pose by as much as chance would not bring."""
+"""Matches support a pose by as much as chance would not bring."""
 
 import torch
 from problems import random_transform
 
-from torchreg.verification.agreement import Matched, agreement, places
+from torchreg.verification.agreement import MatchEndpoints, agreement, match_cells
 
 
 def problem(inliers, outliers, seed=0):
@@ -12,19 +12,19 @@ def problem(inliers, outliers, seed=0):
     source = torch.rand(inliers + outliers, 3, generator=g, dtype=torch.float64) * 5
     target = source @ T[:3, :3].t() + T[:3, 3]
     target[inliers:] = target[inliers:][torch.randperm(outliers, generator=g)]
-    return Matched(source, target), T
+    return MatchEndpoints(source, target), T
 
 
 def test_more_matches_surprise_more():
-    found = []
+    surprises = []
     for inliers in (0, 5, 20, 80):
         matched, T = problem(inliers, 500)
-        told = agreement(places(matched, 0.1), T[None, :3, :3], T[None, :3, 3])
-        assert int(told.support) >= inliers
-        found.append(float(told.surprise))
-    assert found == sorted(found)
-    assert found[0] < 3
-    assert found[-1] > 50
+        weighed = agreement(match_cells(matched, 0.1), T[None, :3, :3], T[None, :3, 3])
+        assert int(weighed.support) >= inliers
+        surprises.append(float(weighed.surprise))
+    assert surprises == sorted(surprises)
+    assert surprises[0] < 3
+    assert surprises[-1] > 50
 
 
 def test_chance_alone_surprises_nobody():
@@ -33,14 +33,14 @@ def test_chance_alone_surprises_nobody():
         matched, _ = problem(0, 400, seed=seed)
         other = random_transform(torch.Generator().manual_seed(100 + seed)).double()
         shift = matched.target.mean(dim=0) - other[:3, :3] @ matched.source.mean(dim=0)
-        worst = max(worst, float(agreement(places(matched, 0.3), other[None, :3, :3], shift[None]).surprise))
+        worst = max(worst, float(agreement(match_cells(matched, 0.3), other[None, :3, :3], shift[None]).surprise))
     assert worst < 4
 
 
-def test_no_matches_say_nothing():
-    empty = Matched(torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, 3, dtype=torch.float64))
-    told = agreement(
-        places(empty, 0.1), torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64)
+def test_no_matches_support_nothing():
+    empty = MatchEndpoints(torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, 3, dtype=torch.float64))
+    weighed = agreement(
+        match_cells(empty, 0.1), torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64)
     )
-    assert told.support.tolist() == [0]
-    assert told.surprise.tolist() == [0.0]
+    assert weighed.support.tolist() == [0]
+    assert weighed.surprise.tolist() == [0.0]

@@ -10,21 +10,19 @@ from scenes import FURNISHED, moved_pair
 import torchreg as tr
 from torchreg.geometry.se3 import inverse
 from torchreg.verification.evidence import evidence
-from torchreg.verification.side import in_step
-from torchreg.verification.view import view
+from torchreg.verification.scans import prepared_scans
 
 THRESHOLD, SPACING = 0.15, 0.1
 
 
-def prepared(cloud, sample=1500):
-    near = tr.neighbors(cloud, 0.3, 30)
-    return view(tr.estimate_normals(cloud, near), SPACING, sample)
+def prepared(cloud):
+    return tr.estimate_normals(cloud, tr.neighbors(cloud, 0.3, 30))
 
 
 def weigh(source, target, *poses):
     T = torch.stack(poses)
     limit = torch.tensor([THRESHOLD], dtype=torch.float64)
-    one, other = in_step([source], limit), in_step([target], limit)
+    one, other = (prepared_scans([cloud], [SPACING], limit, 1500) for cloud in (source, target))
     return evidence(one, other, torch.zeros(len(T), dtype=torch.int64), T[:, :3, :3], T[:, :3, 3], limit)
 
 
@@ -75,13 +73,13 @@ def test_brightness_and_contrast_of_a_channel_change_nothing():
     T = pair.T_target_source if pair.T_target_source.ndim == 2 else pair.T_target_source[0]
     source, target = prepared(pair.source), prepared(pair.target)
     light = torch.tensor([0.5, 0.8, 0.3]), torch.tensor([0.2, 0.05, 0.4])
-    lit = target._replace(colors=target.colors * light[0] + light[1])
+    lit = replace(target, colors=target.colors * light[0] + light[1])
     bare, shone = weigh(source, target, T), weigh(source, lit, T)
     assert float(bare.colors) > 0.3
     assert float(shone.colors) == pytest.approx(float(bare.colors), abs=0.03)
     # and colors that have nothing to do with the place do not agree
     g = torch.Generator().manual_seed(0)
-    mixed = target._replace(colors=target.colors[torch.randperm(len(target.colors), generator=g)])
+    mixed = replace(target, colors=target.colors[torch.randperm(len(target.colors), generator=g)])
     assert abs(float(weigh(source, mixed, T).colors)) < 0.15
 
 
@@ -89,9 +87,9 @@ def test_the_side_of_a_surface_counts_only_where_the_scanners_are_known():
     source, target, T = moved_pair(FURNISHED)
     T = between_points(source, target, T)
     one, other = prepared(source), prepared(target)
-    turned = other._replace(normals=-other.normals)
+    turned = replace(other, normals=-other.normals)
     assert float(weigh(one, turned, T).normals) < -0.9
-    unknown = turned._replace(faced=False)
+    unknown = replace(turned, viewpoint=None)
     assert float(weigh(one, unknown, T).normals) > 0.9
 
 

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from torchreg.verification.free_space import range_image, side_by_side
-from torchreg.verification.free_space import sight as sights
+from torchreg.verification.free_space import range_image, side_by_side, visibility
 
 SPACING = 0.05
 
@@ -17,7 +16,7 @@ def sphere(radius: float, count: int = 20_000) -> torch.Tensor:
 def sight(image, points, margin):
     """Of points (N, 3) in one image, (N,)."""
     which = torch.zeros(1, dtype=torch.int64)
-    seen = sights(side_by_side([image]), which, points.t()[:, None], torch.tensor([margin], dtype=torch.float64))
+    seen = visibility(side_by_side([image]), which, points.t()[:, None], torch.tensor([margin], dtype=torch.float64))
     return type(seen)(*(part[0] for part in seen))
 
 
@@ -35,7 +34,7 @@ def test_points_before_the_surface_are_in_free_space():
     assert bool((sight(image, shell * 1.6, 0.1).before | (shell.norm(dim=1) * 1.6 < image.near)).all())
 
 
-def test_nothing_is_said_where_the_scanner_measured_nothing():
+def test_nothing_is_known_where_the_scanner_measured_nothing():
     half = sphere(2.0)
     half = half[half[:, 2] > 0.3]
     image = range_image(half, torch.zeros(3), SPACING)
@@ -73,7 +72,7 @@ def test_images_beside_each_other_are_each_their_own():
     viewpoints = [torch.zeros(3), torch.tensor([0.1, 0.2, 0.0])]
     images = [range_image(cloud, place, SPACING) for cloud, place in zip(points, viewpoints, strict=True)]
     probe = sphere(2.5, 400)
-    both = sights(
+    both = visibility(
         side_by_side(images),
         torch.tensor([1, 0, 1]),
         probe.t()[:, None].expand(3, 3, 400),

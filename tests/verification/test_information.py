@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 
+from torchreg.geometry.numerics.sums import padded_length
 from torchreg.open3d_loader import load_open3d
-from torchreg.verification.information import information_matrices, slides_of
-from torchreg.verification.sums import padded
+from torchreg.verification.information import information_matrices, weakest_motions
 
 
 def filled_up(values):
     """Rows (N, 3) as (3, 1, L), and where they stand."""
-    width = padded(len(values))
+    width = padded_length(len(values))
     planes = torch.full((3, 1, width), 7.0, dtype=values.dtype)
     planes[:, 0, : len(values)] = values.t()
     return planes, (torch.arange(width) < len(values))[None]
@@ -21,9 +21,9 @@ def information_matrix(points):
     return information_matrices(*filled_up(points))[0]
 
 
-def slide(points, normals):
-    found = slides_of(filled_up(points)[0], *filled_up(normals))
-    return type(found)(*(part[0] for part in found))
+def weakest_motion(points, normals):
+    motions = weakest_motions(filled_up(points)[0], *filled_up(normals))
+    return type(motions)(*(part[0] for part in motions))
 
 
 def test_the_information_matrix_is_open3ds():
@@ -49,41 +49,41 @@ def faces(*normals, count=400, seed=0):
 
 
 def test_a_room_is_held():
-    found = slide(*faces((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)))
-    assert float(found.strength) > 0.4
+    motion = weakest_motion(*faces((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)))
+    assert float(motion.strength) > 0.4
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_corridor_slides_along_its_axis(axis):
     walls = [(other, side) for other in range(3) if other != axis for side in (1, -1)]
-    found = slide(*faces(*walls))
-    assert float(found.strength) < 1e-6
-    assert float(found.shift[axis].abs()) == pytest.approx(1.0, abs=1e-6)
-    assert float(found.turn.abs().max()) < 1e-6
+    motion = weakest_motion(*faces(*walls))
+    assert float(motion.strength) < 1e-6
+    assert float(motion.shift[axis].abs()) == pytest.approx(1.0, abs=1e-6)
+    assert float(motion.turn.abs().max()) < 1e-6
 
 
 def test_a_plane_slides():
-    found = slide(*faces((2, 1)))
-    assert float(found.strength) < 1e-6
-    assert float(found.shift[2].abs()) < 1e-6
+    motion = weakest_motion(*faces((2, 1)))
+    assert float(motion.strength) < 1e-6
+    assert float(motion.shift[2].abs()) < 1e-6
 
 
 def test_a_ball_turns():
     g = torch.Generator().manual_seed(0)
     normals = torch.nn.functional.normalize(torch.randn(3000, 3, generator=g), dim=1)
-    found = slide(2 * normals + 5, normals)
-    assert float(found.strength) < 1e-3
-    assert float(found.turn.norm()) * 2 == pytest.approx(1.5**0.5, rel=0.05)  # rms 1 m over a sphere
-    assert torch.allclose(found.center, torch.full((3,), 5.0, dtype=torch.float64), atol=0.1)
+    motion = weakest_motion(2 * normals + 5, normals)
+    assert float(motion.strength) < 1e-3
+    assert float(motion.turn.norm()) * 2 == pytest.approx(1.5**0.5, rel=0.05)  # rms 1 m over a sphere
+    assert torch.allclose(motion.center, torch.full((3,), 5.0, dtype=torch.float64), atol=0.1)
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
 def test_strength_does_not_depend_on_the_unit(scale):
     points, normals = faces((0, 1), (1, 1), (2, 1))
-    large, small = slide(points * scale, normals).strength, slide(points, normals).strength
+    large, small = weakest_motion(points * scale, normals).strength, weakest_motion(points, normals).strength
     assert float(large) == pytest.approx(float(small), rel=1e-6)
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_too_few_points_hold_nothing(count):
-    assert float(slide(torch.rand(count, 3), torch.rand(count, 3)).strength) == 0.0
+    assert float(weakest_motion(torch.rand(count, 3), torch.rand(count, 3)).strength) == 0.0

@@ -1,12 +1,25 @@
 """Probabilities: of distinct candidates, at most one right."""
 
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchreg.verification.evidence import Evidence
-from torchreg.verification.model import MODEL, PRIOR, log_odds, probabilities, terms
+from torchreg.verification.model import (
+    TERMS,
+    WEIGHTS,
+    Evidence,
+    Term,
+    load_terms,
+    log_odds,
+    probabilities,
+    save_terms,
+    term_values,
+)
 from torchreg.verification.reasons import accepted
 
 odds = st.lists(st.floats(-700, 700), min_size=1, max_size=20)
@@ -14,16 +27,16 @@ odds = st.lists(st.floats(-700, 700), min_size=1, max_size=20)
 
 @given(odds)
 def test_probabilities_leave_room_for_none(values):
-    found = probabilities(torch.tensor(values, dtype=torch.float64))
-    assert bool(torch.isfinite(found).all())
-    assert bool((found >= 0).all())
-    assert float(found.sum()) <= 1 + 1e-12
+    shares = probabilities(torch.tensor(values, dtype=torch.float64))
+    assert bool(torch.isfinite(shares).all())
+    assert bool((shares >= 0).all())
+    assert float(shares.sum()) <= 1 + 1e-12
 
 
 @given(st.floats(-30, 30))
 def test_one_candidate_is_a_logistic(value):
-    found = probabilities(torch.tensor([value], dtype=torch.float64))
-    assert float(found) == pytest.approx(float(torch.sigmoid(torch.tensor(value, dtype=torch.float64))), abs=1e-12)
+    shares = probabilities(torch.tensor([value], dtype=torch.float64))
+    assert float(shares) == pytest.approx(float(torch.sigmoid(torch.tensor(value, dtype=torch.float64))), abs=1e-12)
 
 
 @given(odds, st.floats(-700, 700))
@@ -34,9 +47,9 @@ def test_a_rival_never_helps(values, rival):
 
 
 def test_equals_share():
-    found = probabilities(torch.tensor([9.0, 9.0], dtype=torch.float64))
-    assert float(found[0]) == float(found[1])
-    assert 0.49 < float(found[0]) < 0.5
+    shares = probabilities(torch.tensor([9.0, 9.0], dtype=torch.float64))
+    assert float(shares[0]) == float(shares[1])
+    assert 0.49 < float(shares[0]) < 0.5
 
 
 def test_no_candidate_has_no_probability():
@@ -70,11 +83,30 @@ def test_missing_evidence_stays_finite():
     assert torch.isfinite(torch.tensor(weighed(overlap=0.0, colors=1.0, conflict=1.0, surprise=1e9)))
 
 
-def test_every_term_has_a_name_a_weight_and_a_typical_value():
-    seen = Evidence(*(torch.zeros(1, dtype=torch.float64) for _ in Evidence._fields))
-    width = terms(seen, torch.zeros(1, dtype=torch.float64)).shape[1]
-    assert width == len(MODEL)
-    assert list(MODEL) == list(PRIOR)
+def test_every_term_has_a_column():
+    nothing = Evidence(*(torch.zeros(1, dtype=torch.float64) for _ in Evidence._fields))
+    assert term_values(nothing, torch.zeros(1, dtype=torch.float64)).shape == (1, len(TERMS))
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=5, max_size=5))
+def test_weights_keep_every_bit_in_their_file(numbers):
+    terms = {"one": Term(*numbers), "overlap": Term(*numbers[:3]), "surprise": Term(*numbers[:3], high=numbers[3])}
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "weights.json"
+        save_terms(terms, {"command": "by hand"}, path)
+        assert load_terms(path) == terms
+        assert list(load_terms(path)) == list(terms)
+        assert str(load_terms(path)) == str(terms)  # a negative zero too
+
+
+def test_the_weights_tell_where_they_come_from():
+    content = json.loads(WEIGHTS.read_text())
+    assert content["command"].startswith("python bench/verdict.py")
+    assert sum(content["fitted"]["cases"].values()) == 335
+    for key in ("how", "effort", "commit"):
+        assert content["fitted"][key]
+    assert content["validated"]["machine"]["commit"]
+    assert load_terms() == TERMS
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,16 @@ from problems import random_rotation, room_pair
 import torchreg as tr
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.solvers import PairPoses
-from torchreg.types import Clouds, Correspondences
+from torchreg.types import Clouds, Correspondences, Failure
 from torchreg.types.packing import offsets_of
-from torchreg.verification import Care, Lengths, Proposed
-from torchreg.verification.groups import groups_of
+from torchreg.verification import PairLengths, ProposedPoses, WorkPerPair
+from torchreg.verification.pairs import groups_of
 from torchreg.verification.verify import verify
 
-CARE = Care(poses=6, sample=1100, refined=2, iterations=5)
+WORK = WorkPerPair(poses=6, sample=1100, refined=2, iterations=5)
+
+
+NONE = Failure("no consensus", "no consensus")
 
 
 class Problem(NamedTuple):
@@ -30,10 +33,10 @@ class Problem(NamedTuple):
     target: Clouds
     matches: list[tuple[torch.Tensor, torch.Tensor]]
     poses: list[PairPoses]
-    lengths: Lengths
+    lengths: PairLengths
 
 
-def poses_of(rotation, translation, matches, reason=""):
+def poses_of(rotation, translation, matches, failure=None):
     count = len(rotation)
     return PairPoses(
         rotation=rotation,
@@ -44,7 +47,7 @@ def poses_of(rotation, translation, matches, reason=""):
         drawn=9,
         kept=8,
         scored=7,
-        reason=reason,
+        failure=failure,
     )
 
 
@@ -66,14 +69,14 @@ def problem(seed: int, count: int, poses: int = 5, matches: int = 80) -> Problem
         other = torch.cdist(moved, target.points.double()).argmin(dim=1)
         other[::2] = torch.randint(len(target.points), (len(other[::2]),), generator=g)
         parts.append(((own, other), poses_of(rotation, translation, len(own))))
-    lengths = Lengths(threshold=0.2 if count > 500 else 0.4, spacing=0.1)
+    lengths = PairLengths(threshold=0.2 if count > 500 else 0.4, spacing=0.1)
     return Problem(source, target, [part[0] for part in parts], [part[1] for part in parts], lengths)
 
 
 def without_poses(seed: int) -> Problem:
     one = problem(seed, 200)
     none = torch.zeros(0, 3, 3, dtype=torch.float64)
-    return one._replace(poses=[poses_of(none, none[:, 0], len(own), "no consensus") for own, _ in one.matches])
+    return one._replace(poses=[poses_of(none, none[:, 0], len(own), NONE) for own, _ in one.matches])
 
 
 def few_points(seed: int, count: int, flat: bool) -> Problem:
@@ -85,7 +88,7 @@ def few_points(seed: int, count: int, flat: bool) -> Problem:
     none = torch.zeros(0, dtype=torch.int64)
     eye = torch.eye(3, dtype=torch.float64)[None]
     found = poses_of(eye, torch.full((1, 3), 0.01, dtype=torch.float64), 0)
-    return Problem(cloud, cloud, [(none, none), (none, none)], [found, found], Lengths(0.3, 0.2))
+    return Problem(cloud, cloud, [(none, none), (none, none)], [found, found], PairLengths(0.3, 0.2))
 
 
 def mixed() -> list[Problem]:
@@ -122,8 +125,8 @@ def judged(problems: list[Problem]):
         offsets = offsets_of(len(row) for row in rows[0])
         score = torch.ones(int(offsets[-1]))
         found = Correspondences(source=torch.cat(rows[0]), target=torch.cat(rows[1]), offsets=offsets, score=score)
-        proposed.append(Proposed(f"proposal {number}", found, [one.poses[number] for one in problems]))
-    return verify(source, target, proposed, [one.lengths for one in problems], CARE)
+        proposed.append(ProposedPoses(f"proposal {number}", found, [one.poses[number] for one in problems]))
+    return verify(source, target, proposed, [one.lengths for one in problems], WORK)
 
 
 def of_pair(result, b: int) -> tuple[Any, ...]:
@@ -131,12 +134,12 @@ def of_pair(result, b: int) -> tuple[Any, ...]:
     begin, end = result.correspondences.offsets[b : b + 2].tolist()
     names = ("T_target_source", "fitness", "inlier_rmse", "success", "probability", "overlap")
     names += ("information", "strength", "runner_up", "margin")
-    told = [
+    candidates = [
         tuple(struct.pack("d", value) if isinstance(value, float) else value for value in candidate)  # NaN as it is
         for candidate in result.candidates[b]
     ]
     rows = result.inliers[begin:end].clone(), result.correspondences.score[begin:end].clone()
-    return *(getattr(result, name)[b].clone() for name in names), *rows, tuple(told), result.reason[b]
+    return *(getattr(result, name)[b].clone() for name in names), *rows, tuple(candidates), result.reason[b]
 
 
 def assert_as_alone(result, alone):
@@ -174,7 +177,7 @@ def test_pairs_without_colors_go_together_too(problems):
 
 @pytest.mark.parametrize("elements", [1, 30_000, 1 << 40])
 def test_the_size_of_groups_does_not_show(problems, alone, elements, monkeypatch):
-    monkeypatch.setattr("torchreg.verification.groups._ELEMENTS", elements)
+    monkeypatch.setattr("torchreg.verification.pairs._ELEMENTS", elements)
     assert_as_alone(judged(problems), alone)
 
 
@@ -209,7 +212,7 @@ def test_a_batch_without_any_pose_says_why():
 
 
 def test_groups_hold_what_fits_and_large_pairs_go_alone(monkeypatch):
-    monkeypatch.setattr("torchreg.verification.groups._ELEMENTS", 10)
+    monkeypatch.setattr("torchreg.verification.pairs._ELEMENTS", 10)
     assert groups_of([4, 0, 5, 3, 11, 10, 2], 1) == ([[0, 2], [3], [5], [6]], [4])
     assert groups_of([2, 2, 2, 2], 2) == ([[0, 1], [2, 3]], [])
     assert groups_of([], 2) == ([], [])

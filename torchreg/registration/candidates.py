@@ -19,7 +19,7 @@ from torchreg.registration.options import RegistrationOptions, solver_by_name
 from torchreg.registration.stopwatch import stage
 from torchreg.solvers import base_seed, poses_of_pairs
 from torchreg.types import Correspondences, Features
-from torchreg.verification import Proposed
+from torchreg.verification import ProposedPoses
 
 
 class Recipe(NamedTuple):
@@ -98,12 +98,12 @@ def solve(
     recipe: Recipe,
     options: Sequence[RegistrationOptions],
     seed: int,
-) -> Proposed:
+) -> ProposedPoses:
     """Turn matches into the distinct poses of every pair, by the recipe's solver."""
     solvers = [solver_by_name(recipe.solver, option.solver).at_effort(option.effort) for option in options]
     drawn = base_seed(torch.Generator().manual_seed(seed))
     poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=drawn)
-    return Proposed(recipe.origin, matches, poses)
+    return ProposedPoses(recipe.origin, matches, poses)
 
 
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:

@@ -9,21 +9,15 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
 from torchreg.solvers import result_of_poses
 from torchreg.types import RegistrationResult
-from torchreg.verification import Care, Lengths, Proposed
+from torchreg.verification import WORK, PairLengths, ProposedPoses
 from torchreg.verification.verify import verify
-
-CARE = {
-    "fast": Care(poses=6, sample=600, refined=1, iterations=5, accepted=0.75),
-    "balanced": Care(poses=10, sample=1000, refined=3, iterations=10),
-    "thorough": Care(poses=16, sample=1500, refined=8, iterations=20),
-}
 
 
 @stage("decision")
 def decide(
     source: DescribedClouds,
     target: DescribedClouds,
-    proposed: Sequence[Proposed],
+    proposed: Sequence[ProposedPoses],
     options: Sequence[RegistrationOptions],
 ) -> RegistrationResult:
     """The best pose of every pair and the verdict on it."""
@@ -32,7 +26,7 @@ def decide(
         solvers = [option.solver for option in options]
         return result_of_poses(source.cloud, target.cloud, proposed[0].matches, proposed[0].poses, solvers)
     lengths = [
-        Lengths(option.inlier_threshold, max(spacings))
+        PairLengths(option.inlier_threshold, max(spacings))
         for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
     ]
-    return verify(source.cloud, target.cloud, proposed, lengths, CARE[first.effort])
+    return verify(source.cloud, target.cloud, proposed, lengths, WORK[first.effort])

@@ -22,8 +22,7 @@ from torchreg.registration.stopwatch import stopwatch
 from torchreg.solvers import Solver
 from torchreg.types import Clouds, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
-from torchreg.verification import Proposed
-from torchreg.verification.verify import proposals_of
+from torchreg.verification import ProposedPoses, proposals_of
 
 
 def register(
@@ -150,7 +149,7 @@ def _without(side: DescribedClouds, refused: Sequence[object]) -> DescribedCloud
 
 
 def _stage_counts(
-    source: DescribedClouds, target: DescribedClouds, proposed: Sequence[Proposed]
+    source: DescribedClouds, target: DescribedClouds, proposed: Sequence[ProposedPoses]
 ) -> tuple[StageCounts, ...]:
     """What each stage of every pair had."""
     described = [

@@ -1,6 +1,5 @@
 """Which candidate pose is right, if any: asked of the clouds themselves, answered with a probability."""
 
-from torchreg.verification.care import Care, Lengths
-from torchreg.verification.collect import Proposed
+from torchreg.verification.pairs import WORK, PairLengths, ProposedPoses, WorkPerPair, proposals_of
 
-__all__ = ["Care", "Lengths", "Proposed"]
+__all__ = ["WORK", "PairLengths", "ProposedPoses", "WorkPerPair", "proposals_of"]

@@ -1,4 +1,4 @@
-"""How far the matches speak for a pose: agreements of their number that chance alone would bring.
+"""How far the matches support a pose: the probability that chance alone brings as many agreements.
 
 Matches within the threshold are counted and judged against what unrelated matches would give under the same pose:
 each source point paired with the target points of other matches. Points that lie close together share their
@@ -18,20 +18,20 @@ from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.solvers.chance import log10_binomial_tail
 
 _REPAIRINGS = 16
-_MOST = 400.0  # powers of ten: beyond it nothing is told apart, and numbers stay finite
-_ELEMENTS = 1 << 17  # of pairings at once: what is made of them stays in the cache
+_MOST = 400.0  # powers of ten: beyond it nothing differs, and numbers stay finite
+_ELEMENTS = 1 << 17  # pairings moved at once: what is made of them stays in the cache
 _CELL = 3.5  # thresholds: 5 spacings, the support radius of a feature by default
 
 
-class Matched(NamedTuple):
-    """Matched points of one proposal: source and target (M, 3), meters, float64."""
+class MatchEndpoints(NamedTuple):
+    """The points that the matches of one proposal join: source and target (M, 3), meters, float64."""
 
     source: Tensor
     target: Tensor
 
 
-class Places(NamedTuple):
-    """Matched points of one proposal, made ready for poses to be weighed on them.
+class MatchCells(NamedTuple):
+    """The matches of one proposal in cells of their source points, with other pairings of the same points.
 
     Attributes:
         source: (3, M) meters, cell by cell.
@@ -60,56 +60,56 @@ class Agreement(NamedTuple):
     surprise: Tensor
 
 
-def places(matches: Matched, threshold: float) -> Places:
+def match_cells(matches: MatchEndpoints, threshold: float) -> MatchCells:
     """Put the matches of one proposal in cells and pair them anew."""
     count, device = len(matches.source), matches.source.device
     if count == 0:
         none = torch.zeros(0, dtype=torch.int64, device=device)
-        return Places(matches.source.t(), matches.target.t().expand(1 + _REPAIRINGS, 3, 0), none, none, threshold)
+        return MatchCells(matches.source.t(), matches.target.t().expand(1 + _REPAIRINGS, 3, 0), none, none, threshold)
     corner = torch.floor((matches.source - matches.source.amin(dim=0)) / (_CELL * threshold)).long()
     _, cell, size = corner.unique(dim=0, return_inverse=True, return_counts=True)
     order = cell.argsort(stable=True)
     steps = [0, *(1 + (k * (count - 1)) // (_REPAIRINGS + 1) for k in range(1, _REPAIRINGS + 1))]
     rows = (order - torch.tensor(steps, device=device)[:, None]) % count  # (17, M)
     targets = matches.target.t()[:, rows].transpose(0, 1).contiguous()
-    return Places(matches.source.t()[:, order].contiguous(), targets, size.cumsum(0) - 1, size, threshold)
+    return MatchCells(matches.source.t()[:, order].contiguous(), targets, size.cumsum(0) - 1, size, threshold)
 
 
-def agreement(ground: Places, rotation: Tensor, translation: Tensor) -> Agreement:
+def agreement(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agreement:
     """Weigh poses (H, 3, 3), (H, 3) on matches."""
-    count = ground.source.shape[1]
+    count = cells.source.shape[1]
     if count == 0 or len(rotation) == 0:
         empty = torch.zeros(len(rotation), dtype=torch.float64, device=rotation.device)
         return Agreement(empty.long(), empty)
     parts = [
-        _weigh(ground, rotation[rows], translation[rows])
-        for rows in row_chunks(len(rotation), len(ground.targets) * count, _ELEMENTS)
+        _weigh(cells, rotation[rows], translation[rows])
+        for rows in row_chunks(len(rotation), len(cells.targets) * count, _ELEMENTS)
     ]
     return Agreement(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 
-def _weigh(ground: Places, rotation: Tensor, translation: Tensor) -> Agreement:
+def _weigh(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agreement:
     """As ``agreement``, of a few poses."""
-    x, y, z = ground.source.unbind(0)
+    x, y, z = cells.source.unbind(0)
     square = torch.zeros((), dtype=rotation.dtype, device=rotation.device)
     for i in range(3):
         moved = rotation[:, i, 0, None] * x + rotation[:, i, 1, None] * y + rotation[:, i, 2, None] * z
         moved += translation[:, i, None]  # (H, M)
-        apart = moved[:, None] - ground.targets[:, i]  # (H, 17, M)
+        apart = moved[:, None] - cells.targets[:, i]  # (H, 17, M)
         square = square + apart.mul_(apart)
-    agrees = square < ground.threshold * ground.threshold
+    agrees = square < cells.threshold * cells.threshold
     counts = torch.stack([agrees[:, 0].long(), agrees[:, 1:].sum(dim=1)])  # (2, H, M)
-    found, chance = _places(counts, ground)
-    cells = len(ground.size)
+    agreeing, chance = _agreeing_cells(counts, cells)
+    number = len(cells.size)
     surprises = [
-        min(_MOST, 0.0 - log10_binomial_tail(cells, int(here), max(1.0 / _REPAIRINGS, near) / cells))
-        for here, near in zip(found.tolist(), (chance / _REPAIRINGS).tolist(), strict=True)
+        min(_MOST, 0.0 - log10_binomial_tail(number, int(here), max(1.0 / _REPAIRINGS, expected) / number))
+        for here, expected in zip(agreeing.tolist(), (chance / _REPAIRINGS).tolist(), strict=True)
     ]
     return Agreement(counts[0].sum(dim=1), torch.tensor(surprises, dtype=torch.float64, device=rotation.device))
 
 
-def _places(counts: Tensor, ground: Places) -> Tensor:
+def _agreeing_cells(counts: Tensor, cells: MatchCells) -> Tensor:
     """Sum (2, H) over cells of the mean of counts (2, H, M) in each."""
-    sums = torch.nn.functional.pad(counts.cumsum(dim=-1)[..., ground.last], (1, 0)).diff(dim=-1)
-    shares = sums.double() / ground.size
+    sums = torch.nn.functional.pad(counts.cumsum(dim=-1)[..., cells.last], (1, 0)).diff(dim=-1)
+    shares = sums.double() / cells.size
     return shares.cumsum(dim=-1)[..., -1]  # added in the order of the cells

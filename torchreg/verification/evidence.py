@@ -1,6 +1,6 @@
-"""What the clouds themselves say of a pose, beyond the matches it was found from.
+"""What the clouds themselves tell about a pose, beyond the matches that it was estimated from.
 
-Looked at from both sides: which points of one scan have a partner in the other (overlap), whether the surfaces
+Asked from both sides: which points of one scan have a partner in the other (overlap), whether the surfaces
 face the same way there (normals), whether their colors go together up to brightness and contrast of every channel
 (colors), and whether one scan stands where the other scanner saw free space (conflict).
 """
@@ -13,46 +13,34 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.verification.free_space import RangeImages, sight
+from torchreg.geometry.numerics.sums import padded_length, padded_row_sums
+from torchreg.verification.free_space import RangeImages, visibility
 from torchreg.verification.information import strengths
-from torchreg.verification.side import Side, gathered, partners, rotated
-from torchreg.verification.sums import padded, row_sums
+from torchreg.verification.model import Evidence
+from torchreg.verification.partners import partners
+from torchreg.verification.scans import Scans, gathered, rotated
 
 _LEAST_VARIANCE = 1e-5  # of a channel in [0, 1]: below it, the channel is one gray value and its rounding
-
 _STRIDE = 3  # of the points that tell the strength
+_ELEMENTS = 1 << 15  # points moved at once: what is made of them stays in the cache
 
-_ELEMENTS = 1 << 15  # points looked at in one go: what is made of them stays in the cache
 
-
-class Evidence(NamedTuple):
-    """Of H poses, (H,) float64 each.
+class Overlap(NamedTuple):
+    """Target points that have a partner, of G pairs.
 
     Attributes:
-        overlap: share of points with a partner nearer than the threshold, the mean over both directions.
-        closeness: mean over those partners of 1 - (distance / threshold)^2; 0 where there are none.
-        normals: mean cosine between the normals of partners, its size alone where a viewpoint is not known; NaN
-            without normals or partners.
-        colors: correlation of the colors of partners; NaN without colors.
-        strength: how evenly the surfaces of partners hold the pose (``information.strengths``); 0 for one plane.
-        conflict: of the points at or before a surface that the other scanner saw, the share before it, in free
-            space; NaN without viewpoints.
+        points: (3, G, L) float32, meters; those of each pair first, then zeros.
+        normals: (3, G, L) float32, zeros where there are none.
+        valid: (G, L) bool, where a point stands.
     """
 
-    overlap: Tensor
-    closeness: Tensor
+    points: Tensor
     normals: Tensor
-    colors: Tensor
-    strength: Tensor
-    conflict: Tensor
-
-    def take(self, index: Tensor | slice) -> Evidence:
-        """The poses ``index`` (K,), in that order."""
-        return Evidence(*(value[index] for value in self))
+    valid: Tensor
 
 
 def evidence(
-    source: Side, target: Side, pair: Tensor, rotation: Tensor, translation: Tensor, threshold: Tensor
+    source: Scans, target: Scans, pair: Tensor, rotation: Tensor, translation: Tensor, threshold: Tensor
 ) -> Evidence:
     """Weigh poses of G pairs, all of them in step; a pose's numbers do not depend on what stands beside it.
 
@@ -70,31 +58,44 @@ def evidence(
     return Evidence(*map(_mean, forth, _one_way(target, source, pair, back, home, threshold)))
 
 
+def overlap(source: Scans, target: Scans, rotation: Tensor, translation: Tensor, threshold: Tensor) -> Overlap:
+    """The target points that the source's lie on, under one pose (G, 3, 3), (G, 3) of each pair; as ``evidence``."""
+    moved = rotated(rotation, source.points.double()).add_(translation.t()[..., None]).float()
+    nearest = partners(target.search, torch.arange(len(rotation), device=rotation.device), moved, source.valid)
+    close = nearest.square < threshold.square().float()[:, None]
+    order = close.byte().sort(dim=1, descending=True, stable=True).indices  # those that are close come first
+    close, row = close.gather(1, order), nearest.row.gather(1, order)
+    points = gathered(target.all_points, row).masked_fill_(~close, 0.0)
+    if target.all_normals is None:
+        return Overlap(points, torch.zeros_like(points), close)
+    return Overlap(points, gathered(target.all_normals, row).masked_fill_(~close, 0.0), close)
+
+
 def _one_way(
-    source: Side, target: Side, pair: Tensor, rotation: Tensor, translation: Tensor, threshold: Tensor
+    source: Scans, target: Scans, pair: Tensor, rotation: Tensor, translation: Tensor, threshold: Tensor
 ) -> Evidence:
     parts = [
-        _of_rows(source, target, pair[rows], rotation[rows].float(), translation[rows].float(), threshold)
-        for rows in row_chunks(len(pair), source.real.shape[1], _ELEMENTS)
+        _of_poses(source, target, pair[rows], rotation[rows].float(), translation[rows].float(), threshold)
+        for rows in row_chunks(len(pair), source.valid.shape[1], _ELEMENTS)
     ]
     return Evidence(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 
-def _of_rows(source: Side, target: Side, pair: Tensor, R: Tensor, t: Tensor, threshold: Tensor) -> Evidence:
+def _of_poses(source: Scans, target: Scans, pair: Tensor, R: Tensor, t: Tensor, threshold: Tensor) -> Evidence:
     """As ``_one_way``, of a few poses (r, 3, 3), (r, 3), float32."""
     limit = threshold[pair]  # (r,)
     square_limit = limit.square().float()[:, None]
     moved = rotated(R, source.points[:, pair]).add_(t.t()[..., None])  # (3, r, L)
-    real = source.real[pair]
-    found = partners(target, pair, moved, real)
-    close = found.square < square_limit  # (r, L)
+    valid = source.valid[pair]
+    nearest = partners(target.search, pair, moved, valid)
+    close = nearest.square < square_limit  # (r, L)
     count = close.sum(dim=1).double()
     nothing = torch.full_like(count, float("nan"))
     some = count.clamp(min=1)
-    closeness = _over(1 - found.square / square_limit, close) / some
+    closeness = _over(1 - nearest.square / square_limit, close) / some
     normals, colors, conflict, strength = nothing, nothing, nothing, torch.zeros_like(count)
     if source.normals is not None and target.all_normals is not None:
-        facing = gathered(target.all_normals, found.row)
+        facing = gathered(target.all_normals, nearest.row)
         x, y, z = rotated(R, source.normals[:, pair]).mul_(facing).unbind(0)
         cosine = x.add_(y).add_(z)
         known = (source.faced & target.faced)[pair, None]
@@ -102,17 +103,17 @@ def _of_rows(source: Side, target: Side, pair: Tensor, R: Tensor, t: Tensor, thr
         normals = torch.where(count > 0, _over(cosine, close) / some, nothing)
         strength = strengths(*(_thinned(values) for values in (moved, facing, close)))
     if source.colors is not None and target.all_colors is not None:
-        colors = _correlation(source.colors[:, pair], gathered(target.all_colors, found.row), close)
+        colors = _correlation(source.colors[:, pair], gathered(target.all_colors, nearest.row), close)
     if target.images is not None:
-        conflict = _conflict(target.images, target.image[pair], moved, real, limit)
+        conflict = _conflict(target.images, target.image[pair], moved, valid, limit)
     return Evidence(count / source.counts[pair].clamp(min=1), closeness, normals, colors, strength, conflict)
 
 
-def _conflict(images: RangeImages, which: Tensor, moved: Tensor, real: Tensor, limit: Tensor) -> Tensor:
+def _conflict(images: RangeImages, which: Tensor, moved: Tensor, valid: Tensor, limit: Tensor) -> Tensor:
     """Share (r,) of the points moved (3, r, L) that stand in free space; NaN without an image, ``which`` is -1."""
-    seen = sight(images, which.clamp(min=0), moved, 2 * limit)
-    real = real & (which >= 0)[:, None]
-    before, on = (seen.before & real).sum(dim=1).double(), (seen.on & real).sum(dim=1).double()
+    seen = visibility(images, which.clamp(min=0), moved, 2 * limit)
+    valid = valid & (which >= 0)[:, None]
+    before, on = (seen.before & valid).sum(dim=1).double(), (seen.on & valid).sum(dim=1).double()
     return torch.where(before + on > 0, before / (before + on).clamp(min=1), float("nan"))
 
 
@@ -125,11 +126,11 @@ def _correlation(one: Tensor, other: Tensor, close: Tensor) -> Tensor:
     total = close.sum(dim=1).double().clamp(min=1)
 
     def centered(values: Tensor) -> Tensor:
-        mean = row_sums(values * weight) / total
+        mean = padded_row_sums(values * weight) / total
         return (values - mean[..., None]).mul_(weight)
 
     a, b = centered(one), centered(other)
-    products, left, right = (row_sums(x * y) / total for x, y in ((a, b), (a, a), (b, b)))  # (3, r)
+    products, left, right = (padded_row_sums(x * y) / total for x, y in ((a, b), (a, a), (b, b)))  # (3, r)
     varies = (left > _LEAST_VARIANCE) & (right > _LEAST_VARIANCE)
     scale = torch.where(varies, left * right, torch.ones_like(left)).sqrt()
     correlation = torch.where(varies, products / scale, torch.full_like(scale, float("nan")))
@@ -139,15 +140,14 @@ def _correlation(one: Tensor, other: Tensor, close: Tensor) -> Tensor:
 def _thinned(values: Tensor) -> Tensor:
     """Every third number of rows (..., L), filled up with zeros."""
     thin = values[..., ::_STRIDE]
-    return torch.nn.functional.pad(thin, (0, padded(thin.shape[-1]) - thin.shape[-1]))
+    return torch.nn.functional.pad(thin, (0, padded_length(thin.shape[-1]) - thin.shape[-1]))
 
 
 def _over(values: Tensor, mask: Tensor) -> Tensor:
     """Sum (r,) float64 of (r, L) where the mask holds, in a fixed order."""
-    return row_sums(torch.where(mask, values, 0.0).double())
+    return padded_row_sums(torch.where(mask, values, 0.0).double())
 
 
 def _mean(one: Tensor, other: Tensor) -> Tensor:
-    """The mean of both directions, of those that say something."""
-    both = torch.stack([one, other])
-    return both.nanmean(dim=0)
+    """The mean of both directions, without those that are NaN."""
+    return torch.stack([one, other]).nanmean(dim=0)

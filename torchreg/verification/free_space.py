@@ -55,7 +55,7 @@ class RangeImages(NamedTuple):
     near: Tensor
 
 
-class Sight(NamedTuple):
+class Visibility(NamedTuple):
     """How points stand to the surfaces that a scanner saw.
 
     Attributes:
@@ -101,7 +101,7 @@ def side_by_side(images: Sequence[RangeImage]) -> RangeImages:
     )
 
 
-def sight(images: RangeImages, which: Tensor, points: Tensor, margin: Tensor) -> Sight:
+def visibility(images: RangeImages, which: Tensor, points: Tensor, margin: Tensor) -> Visibility:
     """Where points stand to the images of scanners.
 
     Args:
@@ -118,7 +118,7 @@ def sight(images: RangeImages, which: Tensor, points: Tensor, margin: Tensor) ->
     # the margin grows with the range, since neighboring cells of a slanted surface differ in range
     slack = margin[:, None].to(surface.dtype) + 0.02 * surface
     before = known & (distance < surface - slack)
-    return Sight(before, known & ~before & (distance <= surface + 2 * slack))
+    return Visibility(before, known & ~before & (distance <= surface + 2 * slack))
 
 
 def _length(vectors: Tensor) -> Tensor:

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.verification.sums import row_sums
+from torchreg.geometry.numerics.sums import padded_row_sums
 
 _LEAST = 6  # points that can hold a pose
 
 
-class Slide(NamedTuple):
+class WeakestMotion(NamedTuple):
     """The motions that the surfaces of G pairs resist least.
 
     Attributes:
@@ -34,19 +34,19 @@ class Slide(NamedTuple):
     center: Tensor
 
 
-def information_matrices(points: Tensor, held: Tensor) -> Tensor:
+def information_matrices(points: Tensor, valid: Tensor) -> Tensor:
     """Open3D's information matrices (G, 6, 6) of the target points that have a partner, rotations first.
 
     As ``open3d.pipelines.registration.get_information_matrix_from_point_clouds``.
 
     Args:
         points: (3, G, L) float64, meters, in the frame of the file.
-        held: (G, L) bool, which of them are points.
+        valid: (G, L) bool, which of them are points.
     """
-    wide = torch.where(held, points, 0.0)
-    x, y, z = row_sums(wide).unbind(0)
-    xx, yy, zz, xy, xz, yz = row_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
-    all_squares, zero, count = xx + yy + zz, torch.zeros_like(x), held.sum(dim=1).double()
+    wide = torch.where(valid, points, 0.0)
+    x, y, z = padded_row_sums(wide).unbind(0)
+    xx, yy, zz, xy, xz, yz = padded_row_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
+    all_squares, zero, count = xx + yy + zz, torch.zeros_like(x), valid.sum(dim=1).double()
     rows = [  # the sum of -[p]x [p]x, [p]x and the identity
         [all_squares - xx, zero - xy, zero - xz, zero, -z, y],
         [zero - xy, all_squares - yy, zero - yz, z, zero, -x],
@@ -61,44 +61,44 @@ def information_matrices(points: Tensor, held: Tensor) -> Tensor:
 _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
-def strengths(points: Tensor, normals: Tensor, held: Tensor) -> Tensor:
-    """The strength (R,) of R poses: points (3, R, L) on surfaces with normals (3, R, L), where ``held`` (R, L)."""
-    return _strength(_hold(points, normals, held).matrix, held)[0]
+def strengths(points: Tensor, normals: Tensor, valid: Tensor) -> Tensor:
+    """The strength (R,) of R poses: points (3, R, L) on surfaces with normals (3, R, L), where ``valid`` (R, L)."""
+    return _strength(_plane_information(points, normals, valid).matrix, valid)[0]
 
 
-def slides_of(points: Tensor, normals: Tensor, held: Tensor) -> Slide:
-    """The weakest motions of points (3, G, L) on surfaces with normals (3, G, L), where ``held`` (G, L).
+def weakest_motions(points: Tensor, normals: Tensor, valid: Tensor) -> WeakestMotion:
+    """The weakest motions of points (3, G, L) on surfaces with normals (3, G, L), where ``valid`` (G, L).
 
     Strength 0 for fewer than 6 points.
     """
     p = points.double()
-    hold = _hold(p, normals, held)
-    strength, weakest = _strength(hold.matrix, held)
-    turn, shift = weakest[:, :3] / hold.size[:, None], weakest[:, 3:]
-    apart = p - hold.center[..., None]
+    planes = _plane_information(p, normals, valid)
+    strength, weakest = _strength(planes.matrix, valid)
+    turn, shift = weakest[:, :3] / planes.size[:, None], weakest[:, 3:]
+    apart = p - planes.center[..., None]
     moved = torch.linalg.cross(turn.t()[..., None].expand_as(p), apart, dim=0) + shift.t()[..., None]
-    x, y, z = torch.where(held, moved, 0.0).square_().unbind(0)
-    square = row_sums(x.add_(y).add_(z)) / held.sum(dim=1).clamp(min=1)
+    x, y, z = torch.where(valid, moved, 0.0).square_().unbind(0)
+    square = padded_row_sums(x.add_(y).add_(z)) / valid.sum(dim=1).clamp(min=1)
     far = square.sqrt().clamp(min=1e-12)[:, None]
-    return Slide(strength, turn / far, shift / far, hold.center.t())
+    return WeakestMotion(strength, turn / far, shift / far, planes.center.t())
 
 
-class _Hold(NamedTuple):
-    """Point-to-plane information (R, 6, 6), centers (3, R) and sizes (R,), all over the points that are held."""
+class _PlaneInformation(NamedTuple):
+    """Point-to-plane information (R, 6, 6), centers (3, R) and sizes (R,), all over the points that are valid."""
 
     matrix: Tensor
     center: Tensor
     size: Tensor
 
 
-def _hold(points: Tensor, normals: Tensor, held: Tensor) -> _Hold:
-    weight = held.double()  # (R, L)
+def _plane_information(points: Tensor, normals: Tensor, valid: Tensor) -> _PlaneInformation:
+    weight = valid.double()  # (R, L)
     p, n = points.double(), normals.double()  # (3, R, L)
-    total = held.sum(dim=1).double().clamp(min=1)  # (R,)
-    center = row_sums(p * weight) / total
+    total = valid.sum(dim=1).double().clamp(min=1)  # (R,)
+    center = padded_row_sums(p * weight) / total
     apart = (p - center[..., None]).mul_(weight)
     x, y, z = apart.square().unbind(0)
-    size = (row_sums(x.add_(y).add_(z)) / total).sqrt().clamp(min=1e-12)
+    size = (padded_row_sums(x.add_(y).add_(z)) / total).sqrt().clamp(min=1e-12)
     # turns are scaled by the size, so that one unit moves the rim by one meter as a unit of shift does
     rows = torch.cat([torch.linalg.cross(apart / size[:, None], n, dim=0), n * weight])  # (6, R, L)
     products = torch.empty(21, *weight.shape, dtype=rows.dtype, device=rows.device)
@@ -106,20 +106,20 @@ def _hold(points: Tensor, normals: Tensor, held: Tensor) -> _Hold:
     for i in range(6):  # the upper triangle, row by row
         torch.mul(rows[i:], rows[i], out=products[begin : begin + 6 - i])
         begin += 6 - i
-    upper = row_sums(products).t()  # (R, 21)
+    upper = padded_row_sums(products).t()  # (R, 21)
     matrix = upper.new_empty(len(weight), 6, 6)
     i, j = torch.triu_indices(6, 6, device=upper.device)
     matrix[:, i, j], matrix[:, j, i] = upper, upper
-    return _Hold(matrix, center, size)
+    return _PlaneInformation(matrix, center, size)
 
 
-def _strength(matrix: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
+def _strength(matrix: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """Strengths (R,) and weakest motions (R, 6) of information matrices (R, 6, 6)."""
     values, vectors = torch.linalg.eigh(matrix)
     weakest = vectors[..., 0]
     largest = weakest.gather(1, weakest.abs().argmax(dim=1, keepdim=True))
     weakest = weakest * torch.where(largest < 0, -1.0, 1.0)  # one sign, whatever the routine
-    enough = (held.sum(dim=1) >= _LEAST) & (values[:, 5] > 0)
+    enough = (valid.sum(dim=1) >= _LEAST) & (values[:, 5] > 0)
     top = torch.where(enough, values[:, 5], torch.ones_like(values[:, 5]))
     strength = torch.where(enough, (values[:, 0].clamp(min=0) / top).sqrt(), torch.zeros_like(top))
     return strength, torch.where(enough[:, None], weakest, torch.zeros_like(weakest))

@@ -4,76 +4,116 @@ At most one of the distinct candidates of a pair is right, and perhaps none. Wit
 
     P(i) = exp(s_i) / (1 + sum_j exp(s_j)),
 
-a conditional logit with an outside option (McFadden, 1974). So two poses that the clouds speak for alike share the
-probability between them, and neither comes out as certain. The log-odds are linear in a few numbers of the evidence;
-their weights were fitted by bench/verdict.py.
+a conditional logit with an outside option (McFadden, 1974). So two poses that the clouds support alike share the
+probability between them, and neither comes out as certain. The log-odds are linear in a few terms of the evidence;
+their weights stand in weights.json beside this file, with what they were fitted to and how.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
 import torch
 from torch import Tensor
 
-from torchreg.verification.evidence import Evidence
-
-PRIOR = {
-    "one": -6.0,
-    "overlap": 1.5,
-    "closeness": 3.0,
-    "normals": 3.0,
-    "colors": 2.5,
-    "colored": -1.5,
-    "strength": 1.0,
-    "conflict": -1.5,
-    "seen": 0.5,
-    "surprise": 1.0,
-}
-"""Weights set by hand: what the fit starts from and is held to."""
-
-MODEL = {
-    "one": (-3.80, 1.00),
-    "overlap": (1.52, -1.26),
-    "closeness": (3.05, 0.83),
-    "normals": (3.05, 0.90),
-    "colors": (2.54, 1.34),
-    "colored": (-1.76, 1.00),
-    "strength": (1.07, -1.63),
-    "conflict": (-1.75, 0.04),
-    "seen": (0.47, 1.00),
-    "surprise": (1.40, 2.80),
-}
-"""Of every term, its weight and its mean over right poses (of those that have colors, viewpoints)."""
+WEIGHTS = Path(__file__).with_name("weights.json")
 
 
-def terms(evidence: Evidence, surprise: Tensor) -> Tensor:
-    """The numbers (H, 10) that the log-odds weigh, in the order of ``MODEL``.
+class Term(NamedTuple):
+    """One term of the log-odds.
 
-    Each is bounded where more of it says no more: beyond an overlap of 0.3, say, a pose is not the likelier.
+    Attributes:
+        weight: what the fit gave it.
+        typical: its mean over right poses (of those that have colors, viewpoints).
+        prior: the weight set by hand that the fit starts from and is held to.
+        low: the evidence counts as at least this much; ``None``: unbounded.
+        high: likewise at most: beyond an overlap of 0.3, say, a pose is not the likelier.
+    """
+
+    weight: float
+    typical: float
+    prior: float
+    low: float | None = None
+    high: float | None = None
+
+
+class Evidence(NamedTuple):
+    """What the clouds themselves tell about H poses, (H,) float64 each.
+
+    Attributes:
+        overlap: share of points with a partner nearer than the threshold, the mean over both directions.
+        closeness: mean over those partners of 1 - (distance / threshold)^2; 0 where there are none.
+        normals: mean cosine between the normals of partners, its size alone where a viewpoint is not known; NaN
+            without normals or partners.
+        colors: correlation of the colors of partners; NaN without colors.
+        strength: how evenly the surfaces of partners hold the pose (``information.strengths``); 0 for one plane.
+        conflict: of the points at or before a surface that the other scanner saw, the share before it, in free
+            space; NaN without viewpoints.
+    """
+
+    overlap: Tensor
+    closeness: Tensor
+    normals: Tensor
+    colors: Tensor
+    strength: Tensor
+    conflict: Tensor
+
+    def take(self, rows: Tensor | slice) -> Evidence:
+        """The poses ``rows`` (K,), in that order."""
+        return Evidence(*(values[rows] for values in self))
+
+
+def load_terms(path: Path = WEIGHTS) -> dict[str, Term]:
+    """The terms as ``save_terms`` wrote them; without a path, those that come with the library."""
+    return {name: Term(**numbers) for name, numbers in json.loads(path.read_text())["terms"].items()}
+
+
+def save_terms(terms: Mapping[str, Term], provenance: Mapping[str, Any], path: Path = WEIGHTS) -> None:
+    """Write terms, every float to its last bit, below where they come from."""
+    written = {
+        name: {field: value for field, value in term._asdict().items() if value is not None}
+        for name, term in terms.items()
+    }
+    path.write_text(json.dumps({**provenance, "terms": written}, indent=1) + "\n")
+
+
+TERMS = load_terms()
+"""The terms of the log-odds by name, in the order of the columns of ``term_values``."""
+
+
+def term_values(evidence: Evidence, surprise: Tensor) -> Tensor:
+    """The values (H, D) of ``TERMS``.
 
     Args:
         evidence: of H poses.
         surprise: (H,) of their matches, powers of ten.
     """
-    colored, seen = ~torch.isnan(evidence.colors), ~torch.isnan(evidence.conflict)
+
+    def bounded(name: str, values: Tensor) -> Tensor:
+        return values.clamp(TERMS[name].low, TERMS[name].high)
+
     columns = {
         "one": torch.ones_like(evidence.overlap),
-        "overlap": torch.log(evidence.overlap.clamp(0.02, 0.3)),
+        "overlap": torch.log(bounded("overlap", evidence.overlap)),
         "closeness": evidence.closeness,
         "normals": evidence.normals.nan_to_num(),
-        "colors": torch.atanh(evidence.colors.nan_to_num().clamp(-0.5, 0.9)),
-        "colored": colored.double(),
-        "strength": torch.log(evidence.strength.clamp(0.03, 0.2)),
-        "conflict": torch.log1p(evidence.conflict.nan_to_num().clamp(max=0.1) / 0.01),
-        "seen": seen.double(),
-        "surprise": torch.log1p(surprise.clamp(max=20.0)),
+        "colors": torch.atanh(bounded("colors", evidence.colors.nan_to_num())),
+        "colored": (~torch.isnan(evidence.colors)).double(),
+        "strength": torch.log(bounded("strength", evidence.strength)),
+        "conflict": torch.log1p(bounded("conflict", evidence.conflict.nan_to_num()) / 0.01),
+        "seen": (~torch.isnan(evidence.conflict)).double(),
+        "surprise": torch.log1p(bounded("surprise", surprise)),
     }
-    return torch.stack([columns[name] for name in MODEL], dim=1)
+    return torch.stack([columns[name] for name in TERMS], dim=1)
 
 
 def log_odds(evidence: Evidence, surprise: Tensor) -> Tensor:
     """(H,) log-odds of each pose against none being right."""
-    weights = torch.tensor([weight for weight, _ in MODEL.values()], dtype=torch.float64, device=surprise.device)
-    return (terms(evidence, surprise) * weights).sum(dim=1)
+    weights = torch.tensor([term.weight for term in TERMS.values()], dtype=torch.float64, device=surprise.device)
+    return (term_values(evidence, surprise) * weights).sum(dim=1)
 
 
 def probabilities(odds: Tensor) -> Tensor:
@@ -81,8 +121,3 @@ def probabilities(odds: Tensor) -> Tensor:
     top = odds.amax().clamp(min=0) if len(odds) > 0 else odds.new_zeros(())
     weight = torch.exp(odds - top)
     return weight / (weight.sum() + torch.exp(-top))
-
-
-def probability_alone(odds: Tensor) -> Tensor:
-    """What the probability would be without rivals."""
-    return torch.sigmoid(odds)

@@ -1,15 +1,17 @@
-"""Why a pose is not trusted."""
+"""Why a pose is not trusted, as a ``Failure``: its kind, a sentence, and the figures behind it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 
 import torch
 from torch import Tensor
 
+from torchreg.geometry.se3 import inverse
+from torchreg.solvers.poses import pose_vectors
 from torchreg.types import Failure
-from torchreg.verification.model import MODEL, probability_alone, terms
-from torchreg.verification.weigh import Weighed
+from torchreg.verification.candidates import Candidates
+from torchreg.verification.model import TERMS, term_values
 
 ACCEPTED = 0.6
 """The least probability of a success, where points lie as dense as in the cases that the weights were fitted to."""
@@ -23,6 +25,20 @@ FIRM = 0.1
 _LAID_ON = 0.3  # overlap from which surfaces lie on each other, so that sliding is what is left to blame
 _RIVAL = 0.05  # a rival with this share of the probability is named
 
+_LACKING = {
+    "overlap": ("little overlap", "too little overlap: {overlap:.0%} of the points find a partner"),
+    "closeness": ("surfaces disagree", "surfaces disagree: partners are {thresholds_apart:.2f} thresholds apart"),
+    "normals": ("surfaces disagree", "surfaces disagree: normals of partners have a mean cosine of {normals:.2f}"),
+    "colors": ("colors disagree", "colors disagree: those of partners correlate by {colors:.2f}"),
+    "strength": ("sliding", "sliding: the surfaces of partners leave a motion open (strength {strength:.3f})"),
+    "conflict": (
+        "free-space conflict",
+        "free-space conflict: {conflict:.1%} of the points stand where a scanner saw none",
+    ),
+    "surprise": ("no consensus", "no consensus: {support} matches agree, in few places"),
+}
+"""By the term of the log-odds that a pose lacks most: the failure's kind and its sentence, over the figures."""
+
 
 def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
     """Whether a best candidate of this probability is a success; ``odds`` (H,) of all candidates, best first."""
@@ -30,61 +46,59 @@ def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
 
 
 def refusal(
-    found: Weighed, probabilities: list[float], strength: float, apart: Callable[[], str], least: float
+    candidates: Candidates, probabilities: list[float], strength: float, points: Tensor, least: float
 ) -> Failure | None:
     """Why the best candidate is refused; ``None`` where it is a success.
 
     Args:
-        found: the H candidates of one pair, best first.
+        candidates: H of one pair, best first.
         probabilities: H of them.
         strength: of the best.
-        apart: tells how far the runner-up is, in words; asked only where there is one.
+        points: (P, 3) of the source, meters, to tell how far the runner-up is from the best.
         least: probability of a success.
     """
-    probability, odds = probabilities[0], found.odds
+    probability, odds = probabilities[0], candidates.odds
     if accepted(probability, odds, least):
         return None
-    figures = {"probability": probability, "least": least, "strength": strength}
-    held = f"probability {probability:.2f} of being right, {least:g} is needed"
-    if probability >= least:
-        held = f"log-odds {float(odds[0] - odds[1]):.2f} above it, {MARGIN:g} are needed"
-    rivals = len(probabilities) > 1
-    if strength < FIRM and float(found.evidence.overlap[0]) >= _LAID_ON:
-        others = f"; {apart()}, they agree nearly as well" if rivals else ""
-        text = f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({held})"
-        return Failure("sliding", text, figures)
-    if rivals and probabilities[1] >= _RIVAL and float(probability_alone(odds[0])) >= least:
-        return Failure("ambiguous", f"ambiguous: a second pose {apart()} agrees nearly as well ({held})", figures)
-    kind, text = _weakest(found.take(slice(1)))
-    return Failure(kind, f"{text} ({held})", figures)
+    figures = {"probability": probability, "least": least}
+    needed = f"probability {probability:.2f} of being right, {least:g} is needed"
+    rival = ""
+    if len(probabilities) > 1:
+        meters, degrees = _displacement(candidates, points)
+        rival = f"{meters:.3g} m and {degrees:.3g} degrees away"
+        margin = float(odds[0] - odds[1])
+        figures |= {"margin": margin, "rival_meters": meters, "rival_degrees": degrees}
+        if probability >= least:
+            needed = f"log-odds {margin:.2f} above it, {MARGIN:g} are needed"
+    if strength < FIRM and float(candidates.evidence.overlap[0]) >= _LAID_ON:
+        others = f"; {rival}, they agree nearly as well" if rival else ""
+        text = f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({needed})"
+        return Failure("sliding", text, {**figures, "strength": strength})
+    if rival and probabilities[1] >= _RIVAL and float(torch.sigmoid(odds[0])) >= least:  # it alone is to blame
+        text = f"ambiguous: a second pose {rival} agrees nearly as well ({needed})"
+        return Failure("ambiguous", text, {**figures, "strength": strength})
+    shown = {name: float(values[0]) for name, values in candidates.evidence._asdict().items()}
+    shown |= {"thresholds_apart": (1 - shown["closeness"]) ** 0.5, "support": int(candidates.support[0])}
+    kind, text = _LACKING[_most_lacking(candidates)]
+    return Failure(kind, f"{text.format(**shown)} ({needed})", {**figures, **shown})
 
 
-def _weakest(one: Weighed) -> tuple[str, str]:
-    """The kind and the words of what the best candidate (H = 1) lacks most, against what right poses have."""
-    seen = one.evidence
-    numbers: Tensor = terms(seen, one.surprise)[0]
-    lack = {
-        name: weight * (typical - value)
-        for (name, (weight, typical)), value in zip(MODEL.items(), numbers.tolist(), strict=True)
-    }
-    if bool(torch.isnan(seen.colors[0])):
-        lack["colors"] = 0.0
-    if bool(torch.isnan(seen.conflict[0])):
-        lack["conflict"] = 0.0
-    overlap, closeness, normals, colors, strength, conflict = (float(value[0]) for value in seen)
-    words = {
-        "overlap": ("little overlap", f"too little overlap: {overlap:.0%} of the points find a partner"),
-        "closeness": (
-            "surfaces disagree",
-            f"surfaces disagree: partners are {(1 - closeness) ** 0.5:.2f} thresholds apart",
-        ),
-        "normals": ("surfaces disagree", f"surfaces disagree: normals of partners have a mean cosine of {normals:.2f}"),
-        "colors": ("colors disagree", f"colors disagree: those of partners correlate by {colors:.2f}"),
-        "strength": ("sliding", f"sliding: the surfaces of partners leave a motion open (strength {strength:.3f})"),
-        "conflict": (
-            "free-space conflict",
-            f"free-space conflict: {conflict:.1%} of the points stand where a scanner saw none",
-        ),
-        "surprise": ("no consensus", f"no consensus: {int(one.support[0])} matches agree, in few places"),
-    }
-    return words[max(words, key=lambda name: lack[name])]
+def _most_lacking(candidates: Candidates) -> str:
+    """The term by which the best candidate falls short the most of what right poses have."""
+    best = candidates.take(slice(1))
+    values = dict(zip(TERMS, term_values(best.evidence, best.surprise)[0].tolist(), strict=True))
+    lack = {name: TERMS[name].weight * (TERMS[name].typical - values[name]) for name in _LACKING}
+    for name in ("colors", "conflict"):
+        if bool(torch.isnan(getattr(best.evidence, name)[0])):
+            lack[name] = 0.0
+    return max(lack, key=lambda name: lack[name])
+
+
+def _displacement(candidates: Candidates, points: Tensor) -> tuple[float, float]:
+    """Meters (root mean square over the points) and degrees from the first candidate to the second."""
+    poses = candidates.poses.take(slice(2))
+    T = poses.matrices()
+    R = (inverse(T[:1]) @ T[1:2])[0, :3, :3]
+    cosine = float(((torch.diagonal(R).sum() - 1) / 2).clamp(-1, 1))
+    vectors = pose_vectors(poses.rotation.permute(1, 2, 0), poses.translation.t(), points.double().t())
+    return float((vectors[:, 1] - vectors[:, 0]).square().sum().sqrt()), math.degrees(math.acos(cosine))

@@ -1,27 +1,64 @@
-"""The verdict on every pair of a batch: poses of all proposals in, one transform with its probability out."""
+"""The verdict on every pair of a batch: poses of all proposals in, one transform with its probability out.
+
+The candidates of a pair compete on its clouds: all poses are weighed, the best are refined, and poses that the
+solvers did not propose are tried beside the best. All pairs of a group take every step together; what is decided for a
+pair depends on that pair alone.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from torchreg.geometry.numerics.threads import shared_out
-from torchreg.types import Clouds, Proposal, RegistrationResult
-from torchreg.verification.care import Care, Lengths
-from torchreg.verification.choose import choose
-from torchreg.verification.collect import Proposed, Verdict, collect
-from torchreg.verification.groups import groups_of, work_of_pairs
-from torchreg.verification.prepare import matched_points, poses_of, ready, scales_of
-from torchreg.verification.verdicts import no_pose, verdicts
+from torchreg.refinement import IcpOptions, Pairing, refine_pairs
+from torchreg.types import Clouds, RegistrationResult
+from torchreg.types.packing import offsets_of
+from torchreg.verification.agreement import agreement
+from torchreg.verification.candidates import (
+    Candidates,
+    Choice,
+    Poses,
+    distinct,
+    frames,
+    half_turns,
+    joined,
+    joined_candidates,
+    point_moments,
+    runs_of,
+    slides,
+)
+from torchreg.verification.evidence import evidence, overlap
+from torchreg.verification.information import information_matrices, weakest_motions
+from torchreg.verification.model import log_odds
+from torchreg.verification.pairs import (
+    PairLengths,
+    PreparedPairs,
+    ProposedPoses,
+    WorkPerPair,
+    centered_pair,
+    groups_of,
+    match_endpoints,
+    poses_of_pairs,
+    prepared_pairs,
+    work_of_pairs,
+)
+from torchreg.verification.scans import even_rows
+from torchreg.verification.verdicts import Verdict, collect, no_pose, verdicts
+
+_APART = 6.0  # inlier thresholds by which distinct poses move the source at least (rms); ICP bridges less
+_HOPELESS = 5.0  # log-odds below the best at which a probe is not worth refining
+_ICP_POINTS = 600  # of each source
 
 
 def verify(
     source: Clouds,
     target: Clouds,
-    proposed: Sequence[Proposed],
-    lengths: Sequence[Lengths],
-    care: Care,
+    proposed: Sequence[ProposedPoses],
+    lengths: Sequence[PairLengths],
+    work: WorkPerPair,
 ) -> RegistrationResult:
     """Choose among the candidate poses of every pair and judge the choice.
 
@@ -30,53 +67,145 @@ def verify(
         target: B clouds with normals.
         proposed: at least one.
         lengths: one per pair.
-        care: how closely to look.
+        work: spent per pair.
 
     Returns:
         RegistrationResult with probability and all that follows it; ``correspondences`` and ``hypotheses`` are those
-        of the proposal whose matches speak loudest for the pose. No gradients.
+        of the proposal whose matches support the pose most. No gradients.
     """
     source, target = source.detach(), target.detach()
-    names, sources, targets = [part.origin for part in proposed], source.unpack(), target.unpack()
-    matched = [matched_points(source, target, part.matches) for part in proposed]
+    sources, targets, names = source.unpack(), target.unpack(), [part.origin for part in proposed]
+    # one row per pair, with a column per proposal
+    matches = list(zip(*(match_endpoints(source, target, part.matches) for part in proposed), strict=True))
+    poses = list(zip(*(part.poses for part in proposed), strict=True))
 
     def judge(members: Sequence[int]) -> list[Verdict]:
-        pairs = [
-            ready(
-                sources[b],
-                targets[b],
-                [part[b] for part in matched],
-                [part.poses[b] for part in proposed],
-                lengths[b],
-                care.poses,
-            )
-            for b in members
-        ]
-        choice = choose(scales_of(pairs, care.sample), poses_of(pairs), care.refined, care.iterations)
-        return verdicts(pairs, choice, names, care.accepted)
+        pairs = [centered_pair(sources[b], targets[b], matches[b], poses[b], lengths[b], work.poses) for b in members]
+        choice = choose(prepared_pairs(pairs, work.sample), poses_of_pairs(pairs), work)
+        return verdicts(pairs, choice, names, work.accepted)
 
     workers = torch.get_num_threads() if source.device.type == "cpu" else 1
-    groups = groups_of(work_of_pairs(source, target, proposed, care), workers)
+    groups = groups_of(work_of_pairs(source, target, proposed, work), workers)
     judged: dict[int, Verdict] = {}
-    for members, told in zip(groups.small, shared_out(judge, groups.small, workers), strict=True):
-        judged.update(zip(members, told, strict=True))
+    for members, group in zip(groups.small, shared_out(judge, groups.small, workers), strict=True):
+        judged.update(zip(members, group, strict=True))
     for b in groups.large:  # alone, and every operation on all threads
         judged[b] = judge([b])[0]
-    every = [judged[b] if b in judged else no_pose(proposed[0].poses[b]) for b in range(len(source))]
+    every = [judged[b] if b in judged else no_pose(poses[b][0]) for b in range(len(source))]
     return collect(source, target, proposed, every)
 
 
-def proposals_of(proposed: Sequence[Proposed], b: int) -> tuple[Proposal, ...]:
-    """What every proposal had for one pair."""
-    return tuple(
-        Proposal(
-            origin=part.origin,
-            matches=part.poses[b].inliers.shape[1],
-            drawn=part.poses[b].drawn,
-            kept=part.poses[b].kept,
-            scored=part.poses[b].scored,
-            poses=len(part.poses[b].support),
-            support=int(part.poses[b].support[0]) if len(part.poses[b].support) > 0 else 0,
+def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
+    """Choose among the poses of every pair.
+
+    Args:
+        pairs: what they are weighed on.
+        poses: at least one of every pair; pair by pair, in order of their proposals, best first within each.
+        work: spent per pair.
+    """
+    source, target = pairs.source, pairs.target
+    span = frames(point_moments(source.points, source.valid, source.counts))
+    middle = point_moments(target.points, target.valid, target.counts)
+    icp = _Icp(pairs, work.iterations)
+    candidates = _distinct(pairs, span, weigh(pairs, poses))
+    foremost = candidates.take(_foremost(candidates, work.refined))
+    candidates = _distinct(pairs, span, joined_candidates([icp.refine(foremost), candidates]))
+
+    best = candidates.take(_foremost(candidates, 1))
+    shared = overlap(source, target, best.poses.rotation, best.poses.translation, pairs.threshold)
+    motion = weakest_motions(*shared)
+    probes = joined([slides(best.poses, motion, pairs.threshold), half_turns(best.poses, middle)])
+    probed = weigh(pairs, probes.take(probes.pair.sort(stable=True).indices))
+    promising = (probed.odds > best.odds[probed.poses.pair] - _HOPELESS).nonzero()[:, 0]
+    if len(promising) > 0:
+        refined = icp.refine(probed.take(promising))
+        candidates = _distinct(pairs, span, joined_candidates([candidates, refined]))
+        best = candidates.take(_foremost(candidates, 1))
+        shared = overlap(source, target, best.poses.rotation, best.poses.translation, pairs.threshold)
+        motion = weakest_motions(*shared)
+
+    in_file = shared.points.double() + target.origin.t()[..., None]
+    sampled = torch.tensor(source.sizes, device=in_file.device) / source.counts.clamp(min=1)
+    information = information_matrices(in_file, shared.valid) * sampled[:, None, None]
+    return Choice(candidates, information, motion)
+
+
+def weigh(pairs: PreparedPairs, poses: Poses) -> Candidates:
+    """Weigh poses, those of each pair together: evidence of the clouds and agreement of the matches, as log-odds."""
+    shown = evidence(pairs.source, pairs.target, poses.pair, poses.rotation, poses.translation, pairs.threshold)
+    runs = runs_of(poses.pair)
+    supports, surprises = [], []
+    for number in range(len(pairs.matches[0])):
+        agreements = [
+            agreement(pairs.matches[pair][number], poses.rotation[begin:end], poses.translation[begin:end])
+            for pair, begin, end in runs
+        ]
+        supports.append(torch.cat([part.support for part in agreements]))
+        surprises.append(torch.cat([part.surprise for part in agreements]))
+    surprise, proposal = torch.stack(surprises).max(dim=0)  # over proposals
+    support = torch.stack(supports).gather(0, proposal[None])[0]
+    # pair by pair, since logarithms round differently at the end of a range
+    odds = [log_odds(shown.take(slice(begin, end)), surprise[begin:end]) for _, begin, end in runs]
+    return Candidates(poses, shown, support, proposal, surprise, torch.cat(odds))
+
+
+class _Icp:
+    """ICP for poses of a group of pairs, all at once, on clouds that are thinned once."""
+
+    def __init__(self, pairs: PreparedPairs, iterations: int) -> None:
+        """On ``pairs``, with so many iterations at most."""
+        self._pairs = pairs
+        source, target = pairs.source, pairs.target
+        rows = even_rows(source.sizes, _ICP_POINTS, source.all_points.device)
+        self._source = Clouds(
+            points=source.all_points[:, torch.cat(rows)].t().contiguous(), offsets=offsets_of(map(len, rows))
         )
-        for part in proposed
-    )
+        self._target = Clouds(
+            points=target.all_points.t().contiguous(),
+            offsets=offsets_of(target.sizes),
+            normals=None if target.all_normals is None else target.all_normals.t().contiguous(),
+        )
+        self._options = [
+            IcpOptions(kind="point_to_plane", max_distance=threshold, iterations=iterations)
+            for threshold in pairs.threshold.tolist()
+        ]
+
+    def refine(self, candidates: Candidates) -> Candidates:
+        """The poses after ICP, each as it was where that lowers its odds."""
+        numbers = candidates.poses.pair.tolist()
+        result = refine_pairs(
+            self._source,
+            self._target,
+            Pairing(numbers, numbers),
+            candidates.poses.matrices(),
+            [self._options[pair] for pair in numbers],
+        )
+        after = weigh(self._pairs, candidates.poses.moved(result.T_target_source))
+        rows = torch.arange(len(numbers), device=candidates.odds.device)
+        better = after.odds > candidates.odds
+        return joined_candidates([candidates, after]).take(torch.where(better, rows + len(numbers), rows))
+
+
+def _foremost(candidates: Candidates, count: int) -> Tensor:
+    """The rows of the first ``count`` of every pair."""
+    runs = runs_of(candidates.poses.pair)
+    rows = [row for _, begin, end in runs for row in range(begin, min(end, begin + count))]
+    return torch.tensor(rows, dtype=torch.int64, device=candidates.odds.device)
+
+
+def _distinct(pairs: PreparedPairs, span: Tensor, candidates: Candidates) -> Candidates:
+    """Best first, without poses that repeat a better one; what a solver proposed as well is not called a probe."""
+    ordered = candidates.best_first()
+    apart = _APART * pairs.threshold
+    vectors = ordered.poses.vectors(span)  # (12, H)
+    rows = distinct(vectors, ordered.poses.pair, apart)
+    best = ordered.take(torch.tensor(rows, dtype=torch.int64, device=ordered.odds.device))
+    origin = best.poses.origin.clone()
+    runs = {run.pair: run for run in runs_of(ordered.poses.pair)}
+    for place in (origin < 0).nonzero()[:, 0].tolist():
+        pair, begin, end = runs[int(best.poses.pair[place])]
+        origins = ordered.poses.origin[begin:end]
+        close = (vectors[:, begin:end] - vectors[:, rows[place], None]).square().sum(dim=0) <= apart[pair].square()
+        solved = origins[close & (origins >= 0)]
+        origin[place] = solved[0] if len(solved) > 0 else origin[place]
+    return best._replace(poses=best.poses._replace(origin=origin))

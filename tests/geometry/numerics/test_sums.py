@@ -3,9 +3,11 @@
 import pytest
 import torch
 from determinism import THREADS, same_bits, threads
+from hypothesis import given
+from hypothesis import strategies as st
 
 from torchreg.geometry.numerics.chunks import stable_sum
-from torchreg.geometry.numerics.sums import RowSums, row_sums
+from torchreg.geometry.numerics.sums import RowSums, padded_length, padded_row_sums, row_sums
 
 
 def rows(count, width):
@@ -47,3 +49,26 @@ def test_rows_of_different_lengths_stand_side_by_side():
 
 def test_the_sum_of_nothing_is_zero():
     assert row_sums(torch.zeros(3, 0, dtype=torch.float64)).tolist() == [0, 0, 0]
+
+
+def spread_out(rows, count, seed):
+    g = torch.Generator().manual_seed(seed)
+    size = 10 ** (4 * torch.rand(rows, 1, generator=g, dtype=torch.float64))
+    return size * torch.randn(rows, count, generator=g, dtype=torch.float64)
+
+
+@given(st.integers(1, 1100) | st.integers(1100, 5000), st.integers(1, 40), st.integers(0, 2000), st.integers(0, 2**31))
+def test_a_padded_row_has_the_bits_of_a_stable_sum(count, rows, longer, seed):
+    values = spread_out(rows, count, seed)
+    alone = torch.stack([stable_sum(row) for row in values])
+    for most in (count, count + longer):
+        filled = torch.zeros(rows, padded_length(most), dtype=torch.float64)
+        filled[:, :count] = values
+        assert torch.equal(padded_row_sums(filled), alone)
+        assert torch.equal(padded_row_sums(filled[:1]), alone[:1])
+        assert torch.equal(padded_row_sums(filled.t().contiguous().t()), alone)
+        assert torch.equal(padded_row_sums(filled[:, None].expand(rows, 3, -1)), alone[:, None].expand(rows, 3))
+
+
+def test_a_padded_row_of_nothing_adds_up_to_zero():
+    assert padded_row_sums(torch.zeros(2, padded_length(0), dtype=torch.float64)).tolist() == [0.0, 0.0]

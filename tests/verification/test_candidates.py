@@ -4,15 +4,13 @@ import torch
 from problems import random_transform
 
 from torchreg.solvers.poses import pose_vectors
-from torchreg.verification.information import slides_of
-from torchreg.verification.moments import Moments, frames
-from torchreg.verification.poses import Poses, distinct
-from torchreg.verification.probes import flips, slides
+from torchreg.verification.candidates import PointMoments, Poses, distinct, frames, half_turns, slides
+from torchreg.verification.information import weakest_motions
 
 G = torch.Generator().manual_seed(0)
 POINTS = torch.rand(500, 3, generator=G) * torch.tensor([6.0, 4.0, 3.0])
 NORMALS = torch.nn.functional.normalize(torch.randn(500, 3, generator=G), dim=1)
-HELD = (torch.arange(512) < 500)[None]
+VALID = (torch.arange(512) < 500)[None]
 
 
 def filled_up(values):
@@ -30,7 +28,7 @@ def moments_of(points):
     """Of points (N, 3) of one scan."""
     wide = points.double()
     apart = wide - wide.mean(dim=0)
-    return Moments(wide.mean(dim=0)[None], (apart.t() @ apart)[None], torch.tensor([float(len(wide))]).double())
+    return PointMoments(wide.mean(dim=0)[None], (apart.t() @ apart)[None], torch.tensor([float(len(wide))]).double())
 
 
 def assert_rigid(poses):
@@ -44,22 +42,22 @@ def test_slides_move_the_points_by_their_steps():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
     normals = (NORMALS @ pose.rotation[0].float().t()).t()[:, None]
-    weakest = slides_of(*(filled_up(values) for values in (placed.t()[:, None], normals)), HELD)
-    found = slides(pose, weakest, torch.tensor([0.01], dtype=torch.float64))
-    assert_rigid(found)
-    moved = POINTS.double() @ found.rotation.transpose(1, 2) + found.translation[:, None]
+    motion = weakest_motions(*(filled_up(values) for values in (placed.t()[:, None], normals)), VALID)
+    probes = slides(pose, motion, torch.tensor([0.01], dtype=torch.float64))
+    assert_rigid(probes)
+    moved = POINTS.double() @ probes.rotation.transpose(1, 2) + probes.translation[:, None]
     apart = (moved - placed).square().sum(dim=-1).mean(dim=-1).sqrt()
     assert torch.allclose(apart, torch.tensor([0.16, 0.08, 0.08, 0.16], dtype=torch.float64), rtol=0.02)
 
 
-def test_flips_are_half_turns_about_the_middle():
+def test_half_turns_are_half_turns_about_the_middle():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
-    found = flips(pose, moments_of(placed))
-    assert_rigid(found)
-    turns = found.rotation @ pose.rotation[0].t()
+    probes = half_turns(pose, moments_of(placed))
+    assert_rigid(probes)
+    turns = probes.rotation @ pose.rotation[0].t()
     assert torch.allclose(torch.diagonal(turns, dim1=1, dim2=2).sum(dim=1), -torch.ones(3, dtype=torch.float64))
-    moved = POINTS.double() @ found.rotation.transpose(1, 2) + found.translation[:, None]
+    moved = POINTS.double() @ probes.rotation.transpose(1, 2) + probes.translation[:, None]
     assert torch.allclose(moved.mean(dim=1), placed.mean(dim=0).expand(3, 3))
 
 

@@ -1,0 +1,252 @@
+"""Candidate poses of a group of pairs: those that solvers proposed, which of them are distinct, and probes.
+
+Probes are poses that would do as well if the scene were to blame: displaced along what the surfaces leave open, or
+turned round. A verdict that compares only what the solver proposed is blind to all else. A plane, a corridor and a
+hall like its mirror image admit other poses; these are tried on purpose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.numerics.sums import padded_row_sums
+from torchreg.geometry.se3 import apply_rotation, rigid
+from torchreg.verification.information import WeakestMotion
+from torchreg.verification.model import Evidence
+
+SLIDE, HALF_TURN = -1, -2
+"""Origins of probes."""
+
+_STEPS = (-16.0, -8.0, 8.0, 16.0)
+"""Displacements along the weakest motion, in inlier thresholds: beyond what counts as the same pose."""
+
+
+class Run(NamedTuple):
+    """The rows ``begin:end`` belong to one pair."""
+
+    pair: int
+    begin: int
+    end: int
+
+
+class Poses(NamedTuple):
+    """H poses of G pairs, between the frames of ``points`` (origins left out).
+
+    Attributes:
+        rotation: (H, 3, 3) float64.
+        translation: (H, 3) float64, meters.
+        origin: (H,) int64, which proposal each came from; probes have negative numbers.
+        pair: (H,) int64, which pair each belongs to; ascending, except between ``joined`` and an ordering.
+    """
+
+    rotation: Tensor
+    translation: Tensor
+    origin: Tensor
+    pair: Tensor
+
+    def take(self, rows: Tensor | slice) -> Poses:
+        """The poses ``rows`` (K,), in that order."""
+        return Poses(*(part[rows] for part in self))
+
+    def matrices(self) -> Tensor:
+        """(H, 4, 4)."""
+        return rigid(self.rotation, self.translation)
+
+    def moved(self, T: Tensor) -> Poses:
+        """The same with other transforms (H, 4, 4)."""
+        return self._replace(rotation=T[:, :3, :3], translation=T[:, :3, 3])
+
+    def vectors(self, frames: Tensor) -> Tensor:
+        """(12, H), whose distances are rms displacements of points, meters.
+
+        As ``torchreg.solvers.poses.pose_vectors``.
+
+        Args:
+            frames: (G, 4, 3) of every pair's points: the columns of a root of their covariance, and their mean.
+        """
+        turned = apply_rotation(self.rotation[:, None], frames[self.pair])  # (H, 4, 3)
+        turned[:, 3] += self.translation
+        return turned.flatten(1).t().contiguous()
+
+
+class Candidates(NamedTuple):
+    """H poses with what supports them, (H,) each.
+
+    Attributes:
+        poses: the poses.
+        evidence: of the clouds.
+        support: int64, inliers among the matches of the proposal whose agreement is least likely by chance.
+        proposal: int64, which proposal that is.
+        surprise: of that agreement, as a power of ten.
+        odds: log-odds of being right.
+    """
+
+    poses: Poses
+    evidence: Evidence
+    support: Tensor
+    proposal: Tensor
+    surprise: Tensor
+    odds: Tensor
+
+    def take(self, rows: Tensor | slice) -> Candidates:
+        """The poses ``rows`` (K,), in that order."""
+        return Candidates(self.poses.take(rows), self.evidence.take(rows), *(values[rows] for values in self[2:]))
+
+    def best_first(self) -> Candidates:
+        """Pair by pair in order of their odds; equal ones in the order they have."""
+        order = self.odds.sort(descending=True, stable=True).indices
+        return self.take(order[self.poses.pair[order].sort(stable=True).indices])
+
+
+class Choice(NamedTuple):
+    """The candidates of G pairs and how firmly the best of each is held.
+
+    Attributes:
+        candidates: of all pairs, distinct, those of each pair best first; at least one each.
+        information: (G, 6, 6) float64 of the best poses, Open3D's convention, in the frames of the targets' files.
+        motion: the weakest motions under the best poses.
+    """
+
+    candidates: Candidates
+    information: Tensor
+    motion: WeakestMotion
+
+
+class PointMoments(NamedTuple):
+    """The moments of the points of G scans.
+
+    Attributes:
+        mean: (G, 3) float64, meters.
+        products: (G, 3, 3) float64, sums of products of distances to the mean, square meters.
+        counts: (G,) float64, points.
+    """
+
+    mean: Tensor
+    products: Tensor
+    counts: Tensor
+
+
+def joined(parts: Sequence[Poses]) -> Poses:
+    """All poses of the parts, in order."""
+    return Poses(*(torch.cat(values) for values in zip(*parts, strict=True)))
+
+
+def joined_candidates(parts: Sequence[Candidates]) -> Candidates:
+    """All candidates of the parts, in order."""
+    return Candidates(
+        joined([part.poses for part in parts]),
+        Evidence(*(torch.cat(values) for values in zip(*(part.evidence for part in parts), strict=True))),
+        *(torch.cat(values) for values in zip(*(part[2:] for part in parts), strict=True)),
+    )
+
+
+def runs_of(pair: Tensor) -> list[Run]:
+    """Where the rows of each pair stand, by their pairs (H,), ascending; pairs without rows have no run."""
+    begin, runs = 0, []
+    for number, members in groupby(pair.tolist()):
+        end = begin + len(list(members))
+        runs.append(Run(number, begin, end))
+        begin = end
+    return runs
+
+
+def distinct(vectors: Tensor, pair: Tensor, apart: Tensor) -> list[int]:
+    """Rows of the poses that move their points farther than ``apart`` from all that were kept before them.
+
+    Args:
+        vectors: (12, H), as ``Poses.vectors``, the poses of each pair from the best down.
+        pair: (H,) int64, ascending.
+        apart: (G,) float64, meters, of every pair.
+    """
+    kept = []
+    for run, far in zip(runs_of(pair), _far(vectors, pair, apart), strict=True):
+        left = list(range(run.end - run.begin))
+        while left:
+            first = left[0]
+            kept.append(run.begin + first)
+            left = [other for other in left[1:] if far[first][other]]
+    return kept
+
+
+def _far(vectors: Tensor, pair: Tensor, apart: Tensor) -> list[list[list[bool]]]:
+    """For every pair that has poses, which of them are far from which."""
+    runs = runs_of(pair)
+    most = max(run.end - run.begin for run in runs)
+    first = torch.tensor([run.begin for run in runs], device=pair.device)
+    # rows of the last pose where a pair has fewer: they are never read
+    rows = (first[:, None] + torch.arange(most, device=pair.device)).clamp(max=len(pair) - 1)  # (g, most)
+    square = torch.zeros(*rows.shape, most, dtype=vectors.dtype, device=pair.device)
+    for line in vectors.unbind(0):
+        difference = line[rows][:, None] - line[rows][:, :, None]
+        square += difference * difference
+    found: list[list[list[bool]]] = (square > apart[pair[first], None, None].square()).tolist()
+    return found
+
+
+def point_moments(points: Tensor, valid: Tensor, counts: Tensor) -> PointMoments:
+    """The moments of points (3, G, L), filled up where not ``valid`` (G, L); ``counts`` (G,) float64 of each scan."""
+    wide, count = points.double(), counts.clamp(min=1)
+    mean = padded_row_sums(wide) / count  # (3, G)
+    apart = torch.where(valid, wide - mean[..., None], 0.0)
+    products = padded_row_sums(torch.stack([apart[i] * apart for i in range(3)]))  # (3, 3, G)
+    return PointMoments(mean.t(), products.permute(2, 0, 1), count)
+
+
+def frames(moments: PointMoments) -> Tensor:
+    """(G, 4, 3): the columns of a root of each covariance, then the mean; what ``Poses.vectors`` takes."""
+    values, vectors = torch.linalg.eigh(moments.products / moments.counts[:, None, None])
+    root = vectors * values.clamp(min=0).sqrt()[:, None]
+    return torch.cat([root.transpose(1, 2), moments.mean[:, None]], dim=1)
+
+
+def slides(pose: Poses, weakest: WeakestMotion, threshold: Tensor) -> Poses:
+    """One pose of each of G pairs displaced along its weakest motion, both ways: 4 each; thresholds (G,) in meters."""
+    steps = torch.tensor(_STEPS, dtype=torch.float64, device=threshold.device)
+    length = (steps * threshold[:, None])[..., None]  # (G, 4, 1)
+    turn = _rotations(weakest.turn[:, None] * length)  # (G, 4, 3, 3)
+    shift = weakest.shift[:, None] * length
+    center = weakest.center[:, None]
+    moved = apply_rotation(turn, pose.translation[:, None] - center) + center + shift
+    return _probes(pose, _product(turn, pose.rotation[:, None]), moved, SLIDE)
+
+
+def half_turns(pose: Poses, target: PointMoments) -> Poses:
+    """One pose of each of G pairs after half turns about the three principal axes of the target's points."""
+    _, axes = torch.linalg.eigh(target.products)  # columns
+    axis = axes.transpose(1, 2)  # (G, 3, 3): axis by axis
+    eye = torch.eye(3, dtype=axis.dtype, device=axis.device)
+    turn = 2 * axis[..., :, None] * axis[..., None, :] - eye  # (G, 3, 3, 3)
+    mean = target.mean[:, None]
+    moved = apply_rotation(turn, pose.translation[:, None] - mean) + mean
+    return _probes(pose, _product(turn, pose.rotation[:, None]), moved, HALF_TURN)
+
+
+def _probes(pose: Poses, rotation: Tensor, translation: Tensor, kind: int) -> Poses:
+    """Probes (G, K, 3, 3), (G, K, 3) of G poses, pose by pose."""
+    pair = pose.pair[:, None].expand(rotation.shape[:2]).flatten()
+    return Poses(rotation.flatten(0, 1), translation.flatten(0, 1), torch.full_like(pair, kind), pair)
+
+
+def _product(one: Tensor, other: Tensor) -> Tensor:
+    """Matrix products (..., 3, 3), without a routine whose order of addition could depend on their number."""
+    return (one[..., :, :, None] * other[..., None, :, :]).sum(dim=-2)
+
+
+def _rotations(vectors: Tensor) -> Tensor:
+    """The rotations (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula."""
+    angle = vectors.square().sum(dim=-1).sqrt()
+    x, y, z = (vectors / angle[..., None].clamp(min=1e-300)).unbind(-1)
+    zero = torch.zeros_like(x)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+    eye = torch.eye(3, dtype=vectors.dtype, device=vectors.device)
+    # one by one, since a sine rounds differently at the end of a range
+    single = angle.flatten().unbind(0)
+    sine, cosine = (torch.stack([function(each) for each in single]) for function in (torch.sin, torch.cos))
+    sine, cosine = (each.view(angle.shape)[..., None, None] for each in (sine, cosine))
+    rotations: Tensor = eye + sine * cross + (1 - cosine) * _product(cross, cross)
+    return rotations

@@ -1,0 +1,207 @@
+"""The pairs of a batch as the verification takes them: what is given of them, their groups, and each prepared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.numerics.partition import partition
+from torchreg.geometry.se3 import apply_rotation
+from torchreg.solvers import PairPoses
+from torchreg.types import Clouds, Correspondences, Proposal
+from torchreg.types.packing import spans
+from torchreg.verification.agreement import MatchCells, MatchEndpoints, match_cells
+from torchreg.verification.candidates import Poses, joined
+from torchreg.verification.reasons import ACCEPTED
+from torchreg.verification.scans import Scans, prepared_scans
+
+_ELEMENTS = 1 << 20
+"""Work of a group at most: 30 to 60 pairs of 1,000 points. More gain nothing, and results do not depend on it."""
+
+
+class WorkPerPair(NamedTuple):
+    """Work spent per pair.
+
+    Attributes:
+        poses: of every proposal, at most.
+        sample: points of each scan that poses are weighed on.
+        refined: distinct candidates that ICP refines.
+        iterations: of ICP at most.
+        accepted: the least probability of a success.
+    """
+
+    poses: int
+    sample: int
+    refined: int
+    iterations: int
+    accepted: float = ACCEPTED
+
+
+WORK = {
+    "fast": WorkPerPair(poses=6, sample=600, refined=1, iterations=5, accepted=0.75),
+    "balanced": WorkPerPair(poses=10, sample=1000, refined=3, iterations=10),
+    "thorough": WorkPerPair(poses=16, sample=1500, refined=8, iterations=20),
+}
+"""Work by effort. Points that lie far apart tell less, so that "fast" asks for a higher probability."""
+
+
+class PairLengths(NamedTuple):
+    """Meters, of one pair: an inlier's ``threshold`` and the ``spacing`` of the points."""
+
+    threshold: float
+    spacing: float
+
+
+class ProposedPoses(NamedTuple):
+    """What one set of features and one solver proposed for all pairs.
+
+    Attributes:
+        origin: features and solver in words.
+        matches: of B pairs.
+        poses: one per pair.
+    """
+
+    origin: str
+    matches: Correspondences
+    poses: Sequence[PairPoses]
+
+
+class CenteredPair(NamedTuple):
+    """One pair about its clouds' middles.
+
+    Attributes:
+        source: one cloud; its origin takes the middle up.
+        target: likewise.
+        matches: of every proposal, between those frames.
+        poses: of all proposals, between those frames.
+        lengths: meters.
+    """
+
+    source: Clouds
+    target: Clouds
+    matches: Sequence[MatchEndpoints]
+    poses: Poses
+    lengths: PairLengths
+
+
+class PreparedPairs(NamedTuple):
+    """What poses of G pairs are weighed on.
+
+    Attributes:
+        source: the source scans.
+        target: the target scans.
+        matches: of every pair, those of every proposal.
+        threshold: (G,) float64, meters, of an inlier.
+    """
+
+    source: Scans
+    target: Scans
+    matches: Sequence[Sequence[MatchCells]]
+    threshold: Tensor
+
+
+class Groups(NamedTuple):
+    """The pairs that have poses.
+
+    Attributes:
+        small: numbers of pairs that take every step together.
+        large: pairs that are judged alone.
+    """
+
+    small: list[list[int]]
+    large: list[int]
+
+
+def proposals_of(proposed: Sequence[ProposedPoses], b: int) -> tuple[Proposal, ...]:
+    """What every proposal had for one pair."""
+    return tuple(
+        Proposal(
+            origin=part.origin,
+            matches=part.poses[b].inliers.shape[1],
+            drawn=part.poses[b].drawn,
+            kept=part.poses[b].kept,
+            scored=part.poses[b].scored,
+            poses=len(part.poses[b].support),
+            support=int(part.poses[b].support[0]) if len(part.poses[b].support) > 0 else 0,
+        )
+        for part in proposed
+    )
+
+
+def groups_of(work: Sequence[int], workers: int) -> Groups:
+    """Cut pairs with this much work into groups, as many as there are workers where there is enough for them."""
+    small = [b for b, amount in enumerate(work) if 0 < amount <= _ELEMENTS]
+    costs = [work[b] for b in small]
+    groups = partition(costs, min(_ELEMENTS, -(-sum(costs) // max(1, workers))))
+    return Groups([small[group] for group in groups], [b for b, amount in enumerate(work) if amount > _ELEMENTS])
+
+
+def work_of_pairs(source: Clouds, target: Clouds, proposed: Sequence[ProposedPoses], work: WorkPerPair) -> list[int]:
+    """Of every pair, its points and the points that its poses move; 0 without poses."""
+    amounts = []
+    for b, sizes in enumerate(zip(source.lengths, target.lengths, strict=True)):
+        poses = sum(min(work.poses, len(part.poses[b].support)) for part in proposed)
+        sampled = sum(min(size, work.sample) for size in sizes)
+        amounts.append(sum(sizes) + poses * sampled if poses > 0 else 0)
+    return amounts
+
+
+def match_endpoints(source: Clouds, target: Clouds, matches: Correspondences) -> list[MatchEndpoints]:
+    """The matched points of every pair of a batch."""
+    p, q = source.points[matches.source].double(), target.points[matches.target].double()
+    return [MatchEndpoints(p[begin:end], q[begin:end]) for begin, end in spans(matches.offsets)]
+
+
+def centered_pair(
+    source: Clouds,
+    target: Clouds,
+    matches: Sequence[MatchEndpoints],
+    poses: Sequence[PairPoses],
+    lengths: PairLengths,
+    most: int,
+) -> CenteredPair:
+    """One pair, clouds of a batch of one each, with the matches and at most so many poses of every proposal."""
+    one, source_center = _centered(source)
+    other, target_center = _centered(target)
+    parts = []
+    for number, part in enumerate(poses):
+        moved = apply_rotation(part.rotation, source_center.expand_as(part.translation))
+        origin = torch.full_like(part.support, number)
+        centered = Poses(part.rotation, part.translation + moved - target_center, origin, torch.zeros_like(origin))
+        parts.append(centered.take(slice(most)))
+    endpoints = [MatchEndpoints(part.source - source_center, part.target - target_center) for part in matches]
+    return CenteredPair(one, other, endpoints, joined(parts), lengths)
+
+
+def prepared_pairs(pairs: Sequence[CenteredPair], sample: int) -> PreparedPairs:
+    """Prepare G pairs, ``sample`` points of each scan."""
+    spacings, thresholds = [pair.lengths.spacing for pair in pairs], [pair.lengths.threshold for pair in pairs]
+    threshold = torch.tensor(thresholds, dtype=torch.float64, device=pairs[0].source.device)
+    return PreparedPairs(
+        source=prepared_scans([pair.source for pair in pairs], spacings, threshold, sample),
+        target=prepared_scans([pair.target for pair in pairs], spacings, threshold, sample),
+        matches=[[match_cells(part, pair.lengths.threshold) for part in pair.matches] for pair in pairs],
+        threshold=threshold,
+    )
+
+
+def poses_of_pairs(pairs: Sequence[CenteredPair]) -> Poses:
+    """The poses of G pairs, pair by pair."""
+    return joined([pair.poses._replace(pair=torch.full_like(pair.poses.pair, g)) for g, pair in enumerate(pairs)])
+
+
+def _centered(cloud: Clouds) -> tuple[Clouds, Tensor]:
+    """One cloud about its middle (3,) float64, in float32, which then loses nothing; the origin takes the middle up."""
+    wide = cloud.points.double()
+    center = (wide.amin(dim=0) + wide.amax(dim=0)) / 2
+    moved = Clouds(
+        points=(wide - center).float(),
+        colors=None if cloud.colors is None else cloud.colors.float(),
+        normals=None if cloud.normals is None else cloud.normals.float(),
+        origin=cloud.origin + center,
+        viewpoint=None if cloud.viewpoint is None else (cloud.viewpoint.double() - center).float(),
+    )
+    return moved, center

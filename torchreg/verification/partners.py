@@ -1,0 +1,135 @@
+"""The nearest points of scans to moved points, of all pairs at once: cells rule most out, trees search the rest.
+
+Most points under a wrong pose have no partner within the threshold. To look up their cell takes a fraction of the
+time of a search, and a search from far away takes longest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.neighborhoods.point_index import PointIndex
+from torchreg.verification.candidates import runs_of
+
+_SLACK = 1.01  # of a cell's width to the threshold: far more than rounding
+_MOST = 64  # cells along an axis; a scan that is wider has wider cells
+_MARGIN = 2  # empty cells around a scan: one that its points reach into, one that nothing reaches into
+
+
+class Occupancy(NamedTuple):
+    """Cells of space in which a query can have a partner, of G scans.
+
+    Attributes:
+        low: (3, G) float32, meters, the least coordinates.
+        width: (G,) float32, meters.
+        last: (3, G) float32, the last cell along each axis.
+        stride: (3, G) int64, from a cell to the next along each axis.
+        first: (G,) int64, where the cells of a scan begin.
+        reached: of all cells, whether a point lies in it or in one of the 26 around it.
+    """
+
+    low: Tensor
+    width: Tensor
+    last: Tensor
+    stride: Tensor
+    first: Tensor
+    reached: Tensor
+
+
+class PartnerSearch(NamedTuple):
+    """What answers ``partners``, of G scans.
+
+    Attributes:
+        occupancy: where partners can be.
+        trees: over the points of every scan.
+        first: the row of every scan's first point among the points of all.
+    """
+
+    occupancy: Occupancy
+    trees: Sequence[PointIndex]
+    first: Sequence[int]
+
+
+class Partners(NamedTuple):
+    """The nearest points of queries, of those that have one within the threshold.
+
+    Attributes:
+        row: (R, L) int64, among the points of all scans; any legal row where there is none.
+        square: (R, L) squared meters, of others infinite or beyond the squared threshold.
+    """
+
+    row: Tensor
+    square: Tensor
+
+
+def partners(search: PartnerSearch, pair: Tensor, moved: Tensor, valid: Tensor) -> Partners:
+    """Find the nearest point of every query.
+
+    Args:
+        search: of the scans of G pairs.
+        pair: (R,) int64, ascending, which pair each row of queries belongs to.
+        moved: (3, R, L) float32, queries in the frames of the scans, meters.
+        valid: (R, L) bool, false where a row is filled up.
+    """
+    asked = (can_be_near(search.occupancy, pair, moved) & valid).view(-1).nonzero()[:, 0]  # (Q,)
+    queries = moved.view(3, -1).index_select(1, asked).t().contiguous()
+    row, square = torch.zeros_like(asked), queries.new_zeros(len(asked))
+    runs = runs_of(pair)
+    ends = torch.tensor([run.end for run in runs], device=pair.device) * moved.shape[2]
+    begin = 0
+    for run, end in zip(runs, torch.searchsorted(asked, ends).tolist(), strict=True):
+        if end > begin:
+            nearest = search.trees[run.pair].nearest(queries[begin:end])
+            torch.add(nearest.index, search.first[run.pair], out=row[begin:end])
+            square[begin:end] = nearest.sq_distance
+        begin = end
+    rows = torch.zeros(moved.shape[1:], dtype=torch.int64, device=moved.device)
+    squares = torch.full_like(moved[0], float("inf"))
+    rows.view(-1)[asked], squares.view(-1)[asked] = row, square
+    return Partners(rows, squares)
+
+
+def occupancy(points: Tensor, sizes: Sequence[int], threshold: Tensor) -> Occupancy:
+    """Mark the cells near the points of G scans, one after another, of at least one point each.
+
+    Args:
+        points: (3, P) float32, meters.
+        sizes: points of each scan.
+        threshold: (G,) meters.
+    """
+    device = points.device
+    parts = points.split(list(sizes), dim=1)
+    low = torch.stack([part.amin(dim=1) for part in parts], dim=1)  # (3, G)
+    extent = torch.stack([part.amax(dim=1) for part in parts], dim=1) - low
+    width = torch.maximum((_SLACK * threshold).to(points.dtype), extent.amax(dim=0) / _MOST)
+    last = torch.floor(extent / width) + 2 * _MARGIN
+    counts = last.long() + 1
+    stride = torch.stack([counts[1] * counts[2], counts[2], torch.ones_like(counts[2])])
+    volumes = counts.prod(dim=0)
+    reached = torch.zeros(int(volumes.sum()), dtype=torch.bool, device=device)
+    cells = Occupancy(low, width, last, stride, volumes.cumsum(0) - volumes, reached)
+    scan = torch.arange(len(sizes), device=device).repeat_interleave(torch.tensor(sizes, device=device))
+    middle, stride = _cell(cells, scan, points), stride[:, scan]
+    for steps in product((-1, 0, 1), repeat=3):
+        reached[middle + sum(step * along for step, along in zip(steps, stride, strict=True))] = True
+    return cells
+
+
+def can_be_near(cells: Occupancy, scan: Tensor, queries: Tensor) -> Tensor:
+    """False (R, N) where no point of a row's scan (R,) is nearer to the query (3, R, N) than the threshold."""
+    return cells.reached.index_select(0, _cell(cells, scan[:, None], queries).view(-1)).view(queries.shape[1:])
+
+
+def _cell(cells: Occupancy, scan: Tensor, points: Tensor) -> Tensor:
+    """The cells (...) of points (3, ...), among all; beyond the margin, one at its edge."""
+    cell = cells.first[scan]
+    for axis, low, last, stride in zip(points, cells.low, cells.last, cells.stride, strict=True):
+        place = torch.floor((axis - low[scan]) / cells.width[scan]).add_(_MARGIN)
+        place = torch.where(place > 0, place, 0.0)  # also where it is not a number
+        cell = cell + torch.minimum(place, last[scan]).long() * stride[scan]
+    return cell

@@ -1,0 +1,137 @@
+"""The scans of one side, source or target, of a group of pairs, prepared for poses to be weighed on them.
+
+Of every scan there is an even sample of its points, a search tree over all of them, and an image of what its scanner
+saw. Coordinates stand apart, (3, G, L), and the samples are filled up with zeros to one length L, so that one
+operation serves the poses of all pairs and sums keep their order (``geometry.numerics.sums``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.numerics.sums import padded_length
+from torchreg.neighborhoods.point_index import PointIndex
+from torchreg.types import Clouds
+from torchreg.types.packing import offsets_of
+from torchreg.verification.free_space import RangeImages, range_image, side_by_side
+from torchreg.verification.partners import PartnerSearch, occupancy
+
+
+class Scans(NamedTuple):
+    """One side of G pairs.
+
+    Attributes:
+        points: (3, G, L) float32, meters, the sample of every scan.
+        normals: (3, G, L) float32, or ``None``.
+        colors: (3, G, L) float64, or ``None``.
+        valid: (G, L) bool, false where a sample is filled up.
+        counts: (G,) float64, points of every sample.
+        all_points: (3, P) float32, all points of all scans.
+        all_normals: (3, P) float32, or ``None``.
+        all_colors: (3, P) float64, or ``None``.
+        sizes: of every scan, how many points it has.
+        origin: (G, 3) float64, meters, where the points' zero lies in the frame of the file.
+        faced: (G,) bool, whether normals point to a known scanner.
+        search: for the nearest of all points.
+        images: of those scanners whose place is known, ``None`` where no place is.
+        image: (G,) int64, which of the images is the scan's; -1 where it has none.
+    """
+
+    points: Tensor
+    normals: Tensor | None
+    colors: Tensor | None
+    valid: Tensor
+    counts: Tensor
+    all_points: Tensor
+    all_normals: Tensor | None
+    all_colors: Tensor | None
+    sizes: Sequence[int]
+    origin: Tensor
+    faced: Tensor
+    search: PartnerSearch
+    images: RangeImages | None
+    image: Tensor
+
+
+def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshold: Tensor, sample: int) -> Scans:
+    """Prepare one side of G pairs.
+
+    Args:
+        clouds: one each; all have normals (colors), or none has.
+        spacings: meters, between the points of each.
+        threshold: (G,) float64, meters, of the pairs' inliers.
+        sample: points of each scan that are looked at.
+    """
+    device = clouds[0].device
+    sizes = [len(cloud.points) for cloud in clouds]
+    chosen = even_rows(sizes, sample, device)
+    counts = torch.tensor([len(rows) for rows in chosen], device=device)
+    valid = torch.arange(padded_length(max(map(len, chosen))), device=device) < counts[:, None]  # (G, L)
+    rows = torch.zeros(valid.shape, dtype=torch.int64, device=device)
+    rows[valid] = torch.cat(chosen)
+
+    def planes(parts: Sequence[Tensor | None]) -> Tensor | None:
+        present = [part for part in parts if part is not None]
+        return torch.cat(present).t().contiguous() if present else None
+
+    def sampled(values: Tensor | None) -> Tensor | None:
+        return None if values is None else values[:, rows].masked_fill_(~valid, 0.0)
+
+    points = torch.cat([cloud.points for cloud in clouds]).t().contiguous()
+    normals, colors = planes([cloud.normals for cloud in clouds]), planes([cloud.colors for cloud in clouds])
+    colors = None if colors is None else colors.double()
+    trees = [PointIndex(cloud.points) for cloud in clouds]
+    images = [
+        None if cloud.viewpoint is None else range_image(cloud.points, cloud.viewpoint[0], spacing)
+        for cloud, spacing in zip(clouds, spacings, strict=True)
+    ]
+    known = [image for image in images if image is not None]
+    seen = torch.tensor([image is not None for image in images])
+    return Scans(
+        points=points[:, rows].masked_fill_(~valid, 0.0),
+        normals=sampled(normals),
+        colors=sampled(colors),
+        valid=valid,
+        counts=counts.double(),
+        all_points=points,
+        all_normals=normals,
+        all_colors=colors,
+        sizes=sizes,
+        origin=torch.cat([cloud.origin for cloud in clouds]),
+        faced=torch.tensor([_has_known_scanner(cloud) for cloud in clouds], device=device),
+        search=PartnerSearch(occupancy(points, sizes, threshold), trees, offsets_of(sizes)[:-1].tolist()),
+        images=side_by_side(known) if known else None,
+        image=torch.where(seen, seen.cumsum(0) - 1, -1).to(device),
+    )
+
+
+def even_rows(sizes: Sequence[int], most: int, device: torch.device) -> list[Tensor]:
+    """At most so many rows of every scan, evenly along the order of its points, among the points of all."""
+    return [
+        torch.arange(min(most, size), device=device) * size // max(1, min(most, size)) + first
+        for size, first in zip(sizes, offsets_of(sizes)[:-1].tolist(), strict=True)
+    ]
+
+
+def gathered(planes: Tensor, row: Tensor) -> Tensor:
+    """Columns of (C, P) at rows of any shape: (C, ...)."""
+    flat = row.reshape(-1)
+    return torch.stack([plane.index_select(0, flat) for plane in planes.unbind(0)]).view(len(planes), *row.shape)
+
+
+def rotated(rotation: Tensor, planes: Tensor) -> Tensor:
+    """R (R, 3, 3) times vectors (3, R, L), with the operations of ``apply_rotation``."""
+    x, y, z = planes.unbind(0)
+    out = torch.empty(3, *torch.broadcast_shapes(x.shape, (len(rotation), 1)), dtype=planes.dtype, device=x.device)
+    for i in range(3):
+        torch.mul(rotation[:, i, 0, None], x, out=out[i])
+        out[i].add_(rotation[:, i, 1, None] * y).add_(rotation[:, i, 2, None] * z)
+    return out
+
+
+def _has_known_scanner(cloud: Clouds) -> bool:
+    return cloud.viewpoint is not None and bool(torch.isfinite(cloud.viewpoint).all())
