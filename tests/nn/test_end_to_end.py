@@ -131,7 +131,7 @@ def test_options_decide_descriptors_and_weights():
 
 
 def test_bad_arguments_are_refused():
-    with refuses("options.color", "pcfh"):
+    with refuses("options.descriptors", "Pcfh"):
         tr.nn.Register(replace(OPTIONS, color=("contrast",)))
     with refuses("descriptors", "at least one"):
         tr.nn.Register(descriptors=[])

@@ -1,19 +1,17 @@
 """Batches: every distinct cloud described once, slices of any budget, halves that are the whole; all to the bit."""
 
 from dataclasses import replace
-from itertools import accumulate
-from typing import NamedTuple
 
 import pytest
 import torch
 from determinism import same_bits
 from problems import room_pair
 from refusals import refuses
-from torchreg.registration.slices import pair_bytes, slices
 
 import torchreg as tr
-from torchreg.registration import describe_clouds, describing, register_described
+from torchreg.registration import describe, describe_clouds, register_described
 from torchreg.registration.described import DescribedClouds
+from torchreg.registration.plan import pair_bytes
 from torchreg.registration.same_clouds import same_clouds
 
 ROOM = replace(
@@ -28,7 +26,7 @@ PER_PAIR = (
     *("T_target_source", "fitness", "inlier_rmse", "success"),
     *("probability", "overlap", "information", "strength", "runner_up", "margin"),
 )
-LISTED = ("reason", "options", "notes", "candidates", "stages")
+LISTED = ("failure", "options", "notes", "candidates", "stages")
 SIZES = (900, 300, 1400, 200, 700)
 
 
@@ -37,27 +35,17 @@ def mixed_batch():
     return tr.Clouds.pack([pair.source for pair in pairs]), tr.Clouds.pack([pair.target for pair in pairs])
 
 
-class _Offsets(NamedTuple):
-    offsets: list[int]
-
-
-def thinned(result):
-    """Where each pair's points begin among those that were matched, of both sides."""
-    counts = [[stage.points[side] for stage in result.stages] for side in range(2)]
-    return [_Offsets([0, *accumulate(side)]) for side in counts]
-
-
 @pytest.fixture
 def described_points(monkeypatch):
     """How many points each call of the describing step was given."""
     seen = []
-    oriented = describing.oriented
+    oriented = describe.oriented
 
     def counting(cloud, options):
         seen.append(cloud.lengths)
         return oriented(cloud, options)
 
-    monkeypatch.setattr(describing, "oriented", counting)
+    monkeypatch.setattr(describe, "oriented", counting)
     return seen
 
 
@@ -80,7 +68,8 @@ def test_a_budget_of_any_size_gives_the_same_bits(options):
             assert same_bits(getattr(alone, name), getattr(whole, name)[b : b + 1]), name
         assert same_bits(alone.inliers, whole.inliers[begin:end])
         assert same_bits(alone.correspondences.score, rows.score[begin:end])
-        first = [clouds.offsets[b] for clouds in thinned(whole)]
+        first = whole.source.offsets[b], whole.target.offsets[b]
+        assert same_bits(alone.source, whole.source.select(b))
         assert torch.equal(alone.correspondences.source + first[0], rows.source[begin:end])
         assert torch.equal(alone.correspondences.target + first[1], rows.target[begin:end])
         for counts, own in zip(whole.hypotheses, alone.hypotheses, strict=True):
@@ -116,12 +105,15 @@ def test_described_clouds_survive_packing_and_unpacking():
     described = describe_clouds(source, ROOM)
     again = DescribedClouds.pack(described.unpack())
     assert same_bits(again.cloud, described.cloud)
-    assert again.descriptors.keys() == described.descriptors.keys()
-    assert all(same_bits(again.descriptors[name], item) for name, item in described.descriptors.items())
-    assert (again.spacing, again.facts) == (described.spacing, described.facts)
+    assert same_bits(again.features, described.features)
+    assert (again.descriptors, again.spacing, again.facts) == (
+        described.descriptors,
+        described.spacing,
+        described.facts,
+    )
     with refuses("parts", "at least one"):
         DescribedClouds.pack([])
-    with refuses("descriptors"):
+    with refuses("parts", "the same descriptors"):
         DescribedClouds.pack([described, describe_clouds(source, replace(ROOM, color=(), color_weights=()))])
 
 
@@ -141,7 +133,7 @@ def test_the_second_half_says_what_it_lacks():
     pair = room_pair(200)
     bare = replace(ROOM, color=(), color_weights=())
     source, target = (describe_clouds(cloud, bare) for cloud in pair[:2])
-    with refuses("source", "pcfh"):
+    with refuses("source", "Pcfh"):
         register_described(source, target, [ROOM])
     two = DescribedClouds.pack([source, source])
     with refuses("options", "lengths only"):
@@ -152,7 +144,7 @@ def test_the_second_half_says_what_it_lacks():
 
 def test_hue_equalized_jointly_cannot_be_described_alone():
     pair = room_pair(200)
-    with refuses("options", "joint"):
+    with refuses("options.descriptors", "each cloud by itself"):
         describe_clouds(pair.source, replace(ROOM, equalization="joint"))
 
 
@@ -168,12 +160,7 @@ def test_equal_clouds_are_known_by_their_bits():
     assert same_clouds([negative, positive, negative]) == [[0], [1], [0]]
 
 
-def test_slices_cover_all_pairs_within_the_budget():
-    costs = [5, 1, 1, 9, 2, 2, 2]
-    found = slices(costs, 4)
-    assert [b for part in found for b in range(part.start, part.stop)] == list(range(len(costs)))
-    assert [sum(costs[part]) for part in found] == [5, 2, 9, 4, 2]
-    assert slices([], 4) == []
+def test_a_larger_pair_is_held_to_need_more_memory():
     assert pair_bytes(1000, ROOM) > pair_bytes(100, ROOM)
 
 

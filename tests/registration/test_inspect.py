@@ -39,39 +39,40 @@ def spoiled(value):
 def test_a_pair_is_refused_for_either_of_its_clouds(points, reason):
     bad = tr.Clouds(points=points)
     good = tr.Clouds(points=GOOD.points.to(points.dtype))
-    assert refuse(bad, good)[0].startswith(reason.format("source"))
-    assert refuse(good, bad)[0].startswith(reason.format("target"))
+    assert refuse(bad, good)[0].text.startswith(reason.format("source"))
+    assert refuse(good, bad)[0].text.startswith(reason.format("target"))
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_any_line_is_seen(seed):
     for dtype in (torch.float32, torch.float64):
-        (reason,) = refuse(tr.Clouds(points=line(seed=seed, dtype=dtype)), GOOD)
-        assert reason.endswith("lie on one line")
+        (failure,) = refuse(tr.Clouds(points=line(seed=seed, dtype=dtype)), GOOD)
+        assert failure.kind == "degenerate"
+        assert failure.text.endswith("lie on one line")
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
 def test_a_plane_and_a_volume_are_taken(scale):
     flat = scale * torch.rand(10, 3, generator=torch.Generator().manual_seed(2))
-    assert refuse(tr.Clouds(points=flat), GOOD) == [""]
+    assert refuse(tr.Clouds(points=flat), GOOD) == [None]
     flat[:, 1] = 0
-    assert refuse(tr.Clouds(points=flat), GOOD) == [""]
+    assert refuse(tr.Clouds(points=flat), GOOD) == [None]
 
 
 def test_every_pair_has_its_own_reason():
     clouds = [GOOD.points, torch.zeros(0, 3), line(), GOOD.points]
     source = tr.Clouds.pack([tr.Clouds(points=points) for points in clouds])
     target = tr.Clouds.pack([GOOD] * 4)
-    assert [bool(reason) for reason in refuse(source, target)] == [False, True, True, False]
+    assert [failure is not None for failure in refuse(source, target)] == [False, True, True, False]
 
 
 def test_refused_pairs_are_emptied_and_the_others_left_alone():
     made = [room_pair(50, seed=seed).source for seed in range(3)]
     packed = tr.Clouds.pack(made)
-    kept = set_aside(packed, ["", "why not", ""])
+    kept = set_aside(packed, [None, "why not", None])
     assert kept.lengths == [packed.lengths[0], 0, packed.lengths[2]]
     assert same_bits(kept.select([0, 2]), packed.select([0, 2]))
-    assert set_aside(packed, ["", "", ""]) is packed
+    assert set_aside(packed, [None, None, None]) is packed
 
 
 def test_notes_name_what_is_missing():

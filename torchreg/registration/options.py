@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from torchreg.descriptors.descriptor import Descriptor
@@ -65,6 +65,8 @@ class RegistrationOptions:
     match_neighbors: int
     solver: Solver
     effort: str
+    # handed on by dataclasses.replace: a solver that is given to it by name keeps the threshold there was
+    _solver_before: Solver = field(repr=False, compare=False)
 
     def __init__(
         self,
@@ -79,11 +81,12 @@ class RegistrationOptions:
         match_neighbors: int = 1,
         solver: Solver | str | None = None,
         effort: str = "plain",
+        _solver_before: Solver | None = None,
         **former: Any,  # noqa: ANN401
     ) -> None:
         records = (Fpfh(radius=5.0), Pcfh(radius=2.0)) if descriptors is None else tuple(descriptors)
         shares = (1.0,) * len(records) if weights is None else tuple(weights)
-        by = _solver(RansacOptions() if solver is None else solver, former.pop("ransac", None))
+        by = _solver(solver, former.pop("ransac", None), _solver_before or RansacOptions())
         records, shares = _by_former_names(records, shares, former)
         values = {
             "voxel_size": voxel_size if voxel_size is None else positive(voxel_size, "voxel_size"),
@@ -96,6 +99,7 @@ class RegistrationOptions:
             "match_neighbors": at_least(match_neighbors, "match_neighbors", 1),
             "solver": by,
             "effort": one_of(effort, "effort", EFFORTS),
+            "_solver_before": by,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -197,10 +201,10 @@ def _alike(kind: type[Any], like: Solver) -> Any:  # noqa: ANN401
     return kind(inlier_threshold=like.inlier_threshold, local_optimization=like.local_optimization)
 
 
-def _solver(solver: Solver | str, ransac: RansacOptions | None) -> Solver:
+def _solver(solver: Solver | str | None, ransac: RansacOptions | None, before: Solver) -> Solver:
     """The solver; ``ransac``, the former name of one of them, gives its threshold and refitting to any other."""
-    if isinstance(solver, str):
-        return solver_by_name(solver, RansacOptions() if ransac is None else ransac)
+    if solver is None or isinstance(solver, str):
+        return solver_by_name("ransac" if solver is None else solver, before if ransac is None else ransac)
     if not isinstance(solver, Solver):
         raise TypeError(f"solver: expected a record such as RansacOptions(), got {solver!r}")
     if ransac is None or isinstance(solver, RansacOptions):
@@ -218,10 +222,10 @@ def _by_former_names(
     color, color_weights = former.pop("color", None), former.pop("color_weights", None)
     changes: dict[str, dict[str, Any]] = {"geometry": {}, "color": {}, "any": {}, "pcfh": {}}
     former_of: dict[tuple[str, str], str] = {}
-    for name, (kind, field) in _FORMER_FIELDS.items():
+    for name, (kind, name_there) in _FORMER_FIELDS.items():
         if name in former:
-            changes[kind][field] = former.pop(name)
-            former_of[kind, field] = name
+            changes[kind][name_there] = former.pop(name)
+            former_of[kind, name_there] = name
     if former:
         raise TypeError(f"RegistrationOptions has no option {next(iter(former))!r}")
     listed = list(zip(descriptors, weights, strict=True))
@@ -236,7 +240,10 @@ def _by_former_names(
         expect(
             len(color_weights) == len(colored), "color_weights", f"one per color block ({len(colored)})", color_weights
         )
-        colored = [(record, weight) for (record, _), weight in zip(colored, color_weights, strict=True)]
+        colored = [
+            (record, positive(weight, "color_weights"))
+            for (record, _), weight in zip(colored, color_weights, strict=True)
+        ]
     if color is not None or color_weights is not None:
         listed = [item for item in listed if not item[0].needs_colors] + colored
 

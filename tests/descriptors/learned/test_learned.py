@@ -79,7 +79,7 @@ def test_the_preset_registers_a_pair(effort):
 
 
 def test_the_preset_differs_from_the_paper_in_its_color_alone():
-    changed = {"color", "color_weights", "equalization", "root"}
+    changed = {"descriptors", "weights", "root"}
     for name in tr.PAPER.__dataclass_fields__:
         same = getattr(tr.PAPER, name) == getattr(tr.LEARNED, name)
         assert same == (name not in changed), name

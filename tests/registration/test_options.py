@@ -3,6 +3,7 @@
 import dataclasses
 
 import pytest
+from problems import room_pair
 from refusals import refuses
 
 import torchreg as tr
@@ -65,7 +66,11 @@ def test_ransac_options_out_of_range_are_refused(name, value):
         ({"color": ("rgb",)}, "color"),
         ({"color_weights": (0.0,)}, "color_weights"),
         ({"color_weights": (1.0, 1.0)}, "color_weights"),
-        ({"color": ()}, "color_weights"),
+        ({"color": (), "color_weights": (1.0,)}, "color_weights"),
+        ({"descriptors": ()}, "descriptors"),
+        ({"weights": (1.0,)}, "weights"),
+        ({"solver": "guess"}, "solver"),
+        ({"effort": "some"}, "effort"),
         ({"color_channels": ("red",)}, "color_channels"),
         ({"color_channels": ()}, "color_channels"),
         ({"equalization": "histogram"}, "equalization"),
@@ -87,3 +92,48 @@ def test_options_of_another_type_are_refused_by_name(name, value):
 
 def test_geometry_alone_is_an_option():
     assert tr.RegistrationOptions(color=(), color_weights=()).color == ()
+
+
+def test_former_names_are_read_and_taken():
+    options = tr.RegistrationOptions(
+        feature_radius=3.0, color=("contrast", "pcfh"), color_weights=(0.7, 0.4), color_radius=1.5, color_bins=5
+    )
+    assert options.descriptors == (
+        tr.Fpfh(radius=3.0),
+        tr.Contrast(radius=1.5),
+        tr.Pcfh(radius=1.5, bins=5),
+    )
+    assert options.weights == (1.0, 0.7, 0.4)
+    assert (options.feature_radius, options.color_radius, options.color_bins) == (3.0, 1.5, 5)
+    assert (options.color, options.color_weights) == (("contrast", "pcfh"), (0.7, 0.4))
+    assert dataclasses.replace(options, color_radius=2.0, color=("pcfh",)).descriptors == (
+        tr.Fpfh(radius=3.0),
+        tr.Pcfh(radius=2.0, bins=5),
+    )
+    assert dataclasses.replace(options, feature_max_neighbors=40).feature_max_neighbors == 40
+
+
+def test_the_former_name_of_ransac_sets_the_threshold_of_any_solver():
+    ransac = tr.RansacOptions(inlier_threshold=0.5, local_optimization=3)
+    assert tr.RegistrationOptions(ransac=ransac).solver is ransac
+    by_sets = tr.RegistrationOptions(solver=tr.CompatibilityOptions(nodes=300), ransac=ransac)
+    assert by_sets.solver == tr.CompatibilityOptions(nodes=300, inlier_threshold=0.5, local_optimization=3)
+    assert by_sets.ransac == ransac
+    assert tr.RegistrationOptions(solver="compatibility", ransac=ransac).inlier_threshold == 0.5
+    assert dataclasses.replace(by_sets, solver="ransac").solver == ransac
+    assert dataclasses.replace(tr.options_for(0.1), solver="ransac").inlier_threshold == pytest.approx(0.15)
+    assert dataclasses.replace(tr.options_for(0.1), solver="ransac").scaled(2).inlier_threshold == pytest.approx(0.3)
+
+
+def test_options_are_keys():
+    assert len({tr.PAPER, tr.RegistrationOptions(), tr.LEARNED, tr.options_for(0.1)}) == 3
+
+
+@pytest.mark.parametrize("effort", ["plain", "fast", "balanced", "thorough"])
+def test_effort_changes_no_length_of_options_that_are_given(effort):
+    pair = room_pair(400)
+    options = tr.options_for(0.2)
+    one = tr.register(pair.source, pair.target, options, effort=effort)
+    other = tr.register(pair.source, pair.target, dataclasses.replace(options, effort=effort))
+    assert one.options == other.options == (dataclasses.replace(options, effort=effort),)
+    assert (one.T_target_source == other.T_target_source).all()
