@@ -1,4 +1,4 @@
-"""The errors of Eq. (5) to (7) against hand-made values and the formulas."""
+"""The errors of Eq. (5) to (7) against hand-made values and the formulas, and recall by both definitions."""
 
 import math
 
@@ -145,3 +145,41 @@ def test_pose_errors_refuse_what_does_not_fit():
         tr.metrics.pose_errors(cloud, EYE, EYE[:3])
     with refuses("points", "at least one"):
         tr.metrics.pose_errors(tr.Clouds(points=torch.zeros(0, 3)), EYE, EYE)
+
+
+def test_both_errors_must_be_below_their_bounds():
+    errors = ((14.9, 0.29), (1.0, 0.31), (15.1, 0.1), (0.0, 0.0))
+    estimated = torch.stack([turned(degrees, translation=(meters, 0, 0)) for degrees, meters in errors])
+    assert tr.metrics.recalled_by_error(EYE.expand(4, 4, 4), estimated).tolist() == [True, False, False, True]
+    wide = tr.metrics.recalled_by_error(EYE.expand(4, 4, 4), estimated, rotation=20.0, translation=1.0)
+    assert wide.tolist() == [True] * 4
+
+
+def test_the_error_of_true_correspondences_must_be_below_its_bound():
+    errors = torch.tensor([0.1, 0.2, 0.3])
+    assert tr.metrics.recalled_by_rmse(errors).tolist() == [True, False, False]
+    assert tr.metrics.recalled_by_rmse(errors, bound=0.25).tolist() == [True, True, False]
+
+
+def test_recall_is_the_share_of_pairs():
+    assert float(tr.metrics.registration_recall(torch.tensor([True, False, True, True]))) == 0.75
+
+
+def test_an_error_that_is_no_number_is_not_recalled():
+    assert tr.metrics.recalled_by_rmse(torch.tensor([float("nan")])).tolist() == [False]
+    assert tr.metrics.recalled_by_error(EYE, EYE * float("nan")).tolist() is False
+
+
+@pytest.mark.parametrize("bound", [0, -1.0, float("nan")])
+def test_bounds_that_are_not_above_zero_are_refused(bound):
+    with refuses("rotation", "above 0"):
+        tr.metrics.recalled_by_error(EYE, EYE, rotation=bound)
+    with refuses("translation", "above 0"):
+        tr.metrics.recalled_by_error(EYE, EYE, translation=bound)
+    with refuses("bound", "above 0"):
+        tr.metrics.recalled_by_rmse(torch.zeros(1), bound=bound)
+
+
+def test_recall_of_no_pairs_is_refused():
+    with refuses("recalled", "at least one pair"):
+        tr.metrics.registration_recall(torch.zeros(0, dtype=torch.bool))
