@@ -37,7 +37,6 @@ from torchreg.refinement import IcpOptions
 from torchreg.refinement.icp import icp
 from torchreg.registration import LEARNED, PAPER, derive_options, spacing
 from torchreg.registration.register import register
-from torchreg.report.explain import explanation as _explanation  # noqa: F401  # the words of RegistrationResult.explain
 from torchreg.solvers.compatibility import compatibility
 from torchreg.solvers.ransac import ransac
 from torchreg.types import (
@@ -109,6 +108,16 @@ __all__ = [
 ]
 
 _ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference")
+
+
+def _explain(result: RegistrationResult, pair: int) -> str:
+    """The words of ``RegistrationResult.explain``, loaded when first asked for: ``report`` stands above ``types``."""
+    from torchreg.report.explain.explanation import explanation
+
+    return explanation(result, pair)
+
+
+RegistrationResult.explainer = _explain
 
 
 def __dir__() -> list[str]:
