@@ -34,8 +34,8 @@ def by_hand(pair, T_true, T_estimated, threshold):
     moved = apply(T_true, pair.source.points.double() + pair.source.origin)
     target = pair.target.points.double() + pair.target.origin
     near = torch.cdist(moved, target).amin(dim=1) < threshold
-    found = apply(T_estimated, pair.source.points.double() + pair.source.origin)
-    return (found - moved)[near].square().sum(dim=1).mean().sqrt()
+    estimated = apply(T_estimated, pair.source.points.double() + pair.source.origin)
+    return (estimated - moved)[near].square().sum(dim=1).mean().sqrt()
 
 
 def test_hand_made_values():
@@ -101,10 +101,10 @@ def test_only_points_that_overlap_count():
     T_true = pair.T_target_source
     T_estimated = T_true @ a_little_off(0.3, 20.0)
     expected = by_hand(pair, T_true[0], T_estimated[0], 0.15)
-    found = rmse_of_true_matches(pair.source, pair.target, T_true, T_estimated, 0.15)
-    assert torch.allclose(found, expected[None], rtol=1e-9)
+    error = rmse_of_true_matches(pair.source, pair.target, T_true, T_estimated, 0.15)
+    assert torch.allclose(error, expected[None], rtol=1e-9)
     whole = tr.metrics.rmse(T_true[0], T_estimated[0], pair.source.points.double())
-    assert abs(float(found) - float(whole)) > 1e-3  # so that the choice of points shows
+    assert abs(float(error) - float(whole)) > 1e-3  # so that the choice of points shows
 
 
 def test_a_batch_and_origins_change_nothing():
@@ -114,14 +114,14 @@ def test_a_batch_and_origins_change_nothing():
     shift = torch.tensor([[5e5, 4e6, 100.0]], dtype=torch.float64)
     source = tr.Clouds.pack([pair.source for pair in pairs])
     target = tr.Clouds.pack([pair.target for pair in pairs])
-    found = rmse_of_true_matches(source, target, T, off, 0.15)
+    error = rmse_of_true_matches(source, target, T, off, 0.15)
     alone = [rmse_of_true_matches(*pair[:2], T[b : b + 1], off[b : b + 1], 0.15) for b, pair in enumerate(pairs)]
-    assert torch.equal(found, torch.cat(alone))
+    assert torch.equal(error, torch.cat(alone))
     far = tr.Clouds(points=pairs[0].source.points, origin=shift)
     there = rigid(torch.eye(3, dtype=torch.float64), shift[0])
     moved = [matrix[:1] @ inverse(there) for matrix in (T, off)]
     again = rmse_of_true_matches(far, pairs[0].target, *moved, 0.15)
-    assert torch.allclose(again, found[:1], atol=1e-6)
+    assert torch.allclose(again, error[:1], atol=1e-6)
 
 
 def test_nothing_that_overlaps_is_an_infinite_error():
@@ -138,9 +138,9 @@ def test_the_information_stands_for_the_points(meters, degrees, within):
     points = 3 * torch.randn(200, 3, dtype=torch.float64, generator=g) + 2
     T_true = random_transform(g)
     T_estimated = T_true @ a_little_off(meters, degrees)
-    found = rmse_by_information(T_true, T_estimated, information_of_matches(points))
+    error = rmse_by_information(T_true, T_estimated, information_of_matches(points))
     expected = tr.metrics.rmse(T_true, T_estimated, points)
-    assert float(found) == pytest.approx(float(expected), rel=within)
+    assert float(error) == pytest.approx(float(expected), rel=within)
 
 
 def test_the_information_is_the_sum_over_its_points():
@@ -153,9 +153,9 @@ def test_the_information_is_the_sum_over_its_points():
 def test_half_turns_are_finite_and_far():
     points = torch.randn(50, 3, generator=torch.Generator().manual_seed(0)).double()
     half = rigid(turned([1.0, 2.0, 0.5], 180.0), torch.zeros(3, dtype=torch.float64))
-    found = float(rmse_by_information(torch.eye(4), half, information_of_matches(points)))
-    assert math.isfinite(found)
-    assert found > 0.5
+    error = float(rmse_by_information(torch.eye(4), half, information_of_matches(points)))
+    assert math.isfinite(error)
+    assert error > 0.5
 
 
 def test_errors_over_true_matches_refuse_what_does_not_fit():

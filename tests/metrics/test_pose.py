@@ -31,8 +31,8 @@ def turned(degrees, axis=(0.0, 0.0, 1.0), translation=(0.0, 0.0, 0.0)):
 def test_rotation_error_is_the_angle_of_the_turn(degrees, axis):
     generator = torch.Generator().manual_seed(0)
     T = random_transform(generator)
-    found = float(tr.metrics.rre(T, T @ turned(degrees, axis)))
-    assert found == pytest.approx(degrees, rel=1e-6, abs=1e-13)
+    error = float(tr.metrics.rre(T, T @ turned(degrees, axis)))
+    assert error == pytest.approx(degrees, rel=1e-6, abs=1e-13)
 
 
 @given(st.integers(0, 2**31))
@@ -126,12 +126,12 @@ def test_pose_errors_of_a_known_difference():
     T = turned(2, translation=(0.0, 0, 3))
     origin = torch.tensor([[9.0, 0, 0]], dtype=torch.float64)
     cloud = tr.Clouds(points=torch.tensor([[1.0, 0, 0], [-1, 0, 0]]), origin=origin)
-    found = tr.metrics.pose_errors(cloud, EYE, T)
+    errors = tr.metrics.pose_errors(cloud, EYE, T)
     chords = [2 * radius * math.sin(math.radians(1)) for radius in (10, 8)]
-    assert found.rre_degrees == pytest.approx(2)
-    assert found.rte_meters == pytest.approx(3)
-    assert found.rmse_meters == pytest.approx(math.sqrt(sum(chord**2 + 9 for chord in chords) / 2))
-    assert all(isinstance(value, float) for value in found)
+    assert errors.rre_degrees == pytest.approx(2)
+    assert errors.rte_meters == pytest.approx(3)
+    assert errors.rmse_meters == pytest.approx(math.sqrt(sum(chord**2 + 9 for chord in chords) / 2))
+    assert all(isinstance(value, float) for value in errors)
     assert tr.metrics.pose_errors(cloud, T, T).rmse_meters == 0
 
 

@@ -271,7 +271,7 @@ def test_chance_is_a_power_of_ten(surprise, shown):
 
 
 def test_without_a_pose_nothing_is_said_of_one():
-    """``register`` has zeros for a pair in which no solver found a pose: they are no figures."""
+    """``register`` has zeros for a pair in which no solver found a pose: they are not shown as figures."""
     zeros = {name: number(0.0) for name in ("probability", "overlap", "strength", "fitness")}
     text = failed_result("too few matches", candidates=((),), margin=number(math.inf), **zeros).explain()
     for label in ("Candidates", "Pose", "Runner-up", "Overlap", "Strength", "Fit "):

@@ -1,4 +1,4 @@
-"""The picture of the matches: the right places, both kinds told apart, and whatever comes drawn."""
+"""The picture of the matches: lines at the right places, inliers and outliers distinct, any clouds drawn."""
 
 import io
 from dataclasses import replace
@@ -26,7 +26,7 @@ PLAIN = tr.RegistrationOptions(
 
 @pytest.fixture(scope="module")
 def registered():
-    """Two rooms as one batch, the first refused, and what was found; the rows are those of voxel means."""
+    """Two pairs as one batch, the first refused, and their result; the rows are those of voxel means."""
     pair = room_pair(4000, seed=1)
     line = tr.Clouds(points=torch.linspace(0, 1, 50)[:, None] * torch.ones(3), colors=torch.rand(50, 3))
     source, target = tr.Clouds.pack([line, pair.source]), tr.Clouds.pack([line, pair.target])
@@ -225,7 +225,7 @@ def test_titles_are_not_taken_for_formulas(solved):
 
 
 def test_a_transform_that_is_not_the_true_one_shows():
-    """Under another transform the same inliers are no longer parallel: the picture is of what was found."""
+    """Under another transform the same inliers are no longer parallel: the picture is that of the result."""
     problem = correspondence_problem(300, 0.2, seed=3)
     generator = torch.Generator().manual_seed(0)
     wrong = bare_result(

@@ -1,4 +1,4 @@
-"""Blank figures, what is written on them, and figures as files."""
+"""Blank figures, annotations, and figures as files."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def demo_table(rows: Sequence[DemoRow]) -> Table:
 
 
 def demo_sentence(plain: DemoRow, fused: DemoRow) -> str:
-    """One sentence on what is seen of one hall, by the plain procedure without color and by the default.
+    """One sentence that compares the plain procedure without color and the default on one hall.
 
     Args:
         plain: geometry alone, the best of its matches' poses.

@@ -25,8 +25,8 @@ def registration_table(
     Args:
         result: of B pairs.
         pair: which one.
-        source: what to say of the source cloud, such as its file and size.
-        target: what to say of the target cloud.
+        source: text that names the source cloud, such as its file and size.
+        target: likewise.
         truth: errors under the true transform, where it is known.
     """
     facts = facts_of(result, pair)

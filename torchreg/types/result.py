@@ -138,7 +138,7 @@ class RegistrationResult:
         return tuple("" if failure is None else failure.text for failure in self.failure)
 
     def explain(self, pair: int = 0) -> str:
-        """What each stage of one pair had and lost, in words, and what is most likely to help.
+        """Put in words how much each stage of one pair had and lost, and what is most likely to help.
 
         Raises:
             ValueError: ``pair`` is not one of the result's.

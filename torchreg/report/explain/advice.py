@@ -1,4 +1,4 @@
-"""Which settings are most likely to help, each from a figure of the run.
+"""Settings that are most likely to help, each chosen by a figure of the run.
 
 A rule reads one figure and returns what it would change, naming the figure, or an empty text. The kind of the failure
 decides which rules come first.
@@ -24,7 +24,7 @@ _MUCH_CONFLICT, _POOR_NORMALS, _POOR_COLORS = 0.1, 0.6, 0.2
 
 
 def advice(facts: Facts) -> list[str]:
-    """At most two pieces of advice, the likeliest to help first; without any, one sentence that says why."""
+    """At most two pieces of advice, the likeliest to help first; where there is none, one sentence on why."""
     if facts.success and (facts.probability is None or facts.probability >= _LIKELY):
         if facts.probability is None:
             return ['nothing in the matches; an effort other than "plain" weighs the pose against the clouds as well']
@@ -144,7 +144,7 @@ def _conflict(facts: Facts) -> str:
     share = facts.candidates[0].conflict if facts.candidates else 0.0
     if not share > _MUCH_CONFLICT:
         return ""
-    return f"a look at the viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
+    return f"correct viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
 
 
 def _normals(facts: Facts) -> str:

@@ -15,11 +15,11 @@ _HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "
 
 
 def explanation(result: RegistrationResult, pair: int) -> str:
-    """What each stage of one pair had and lost, and the settings most likely to help.
+    """Describe how much each stage of one pair had and lost, and the settings most likely to help.
 
     A line per stage in the order of the run, a table of the candidates, then the pose, its runner-up, overlap,
     strength and fit, the verdict, and advice that each time names the figure it follows from. A result made by a
-    solver alone is explained with what it has.
+    solver alone is explained by the fields it has.
 
     Args:
         result: of B pairs.

@@ -16,7 +16,7 @@ WEAK, FIRM = 0.03, 0.1
 
 
 class Facts(NamedTuple):
-    """One pair; ``None`` for a figure that was not computed, or that belongs to a pose where there is none.
+    """One pair in plain numbers; ``None`` for a figure that was not computed, or of a pose where there is none.
 
     Attributes:
         success: the verdict.
