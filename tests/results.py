@@ -28,6 +28,7 @@ PROPOSALS = (
     Proposal("fpfh + contrast, compatibility", 2104, 512, 400, 200, 12, 310),
     Proposal("fpfh, compatibility", 1800, 512, 300, 100, 1, 90),
 )
+FOUR_POINTS = tr.Clouds(torch.eye(4)[:, :3], colors=torch.eye(4)[:, :3], viewpoint=torch.zeros(1, 3))
 STAGES = StageCounts((30433, 28001), (9812, 9950), (9700, 9950), PROPOSALS)
 
 
@@ -40,7 +41,7 @@ def turn(degrees: float, translation: tuple[float, float, float] = (0.0, 0.0, 0.
 
 def candidate(**changes: Any) -> Candidate:
     """One pose that was weighed, good unless changed."""
-    nothing = Candidate(
+    good = Candidate(
         origin=PROPOSALS[0].origin,
         T_target_source=turn(10),
         support=310,
@@ -55,7 +56,7 @@ def candidate(**changes: Any) -> Candidate:
         log_odds=6.3,
         probability=0.998,
     )
-    return nothing._replace(**changes)
+    return good._replace(**changes)
 
 
 def bare_result(**changes: Any) -> tr.RegistrationResult:
@@ -69,15 +70,15 @@ def bare_result(**changes: Any) -> tr.RegistrationResult:
         "success": torch.tensor([True]),
         "failure": (None,),
         "hypotheses": tr.HypothesisCounts(9000 * one, 800 * one, 70 * one),
-        "source": tr.Clouds(torch.zeros(4, 3)),
-        "target": tr.Clouds(torch.zeros(4, 3)),
+        "source": FOUR_POINTS,
+        "target": FOUR_POINTS,
         "correspondences": matched(torch.arange(4), torch.arange(4)),
     }
     return tr.RegistrationResult(**(fields | changes))
 
 
 def verified_result(**changes: Any) -> tr.RegistrationResult:
-    """One pair with everything that ``register`` says of it; a right one unless changed."""
+    """One pair with every field that ``register`` fills; a right one unless changed."""
     probe = candidate(origin="slide", support=0, matches=0, surprise=math.nan, colors=math.nan)
     information = torch.eye(6, dtype=torch.float64)[None] * 100
     fields: dict[str, Any] = {

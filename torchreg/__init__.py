@@ -41,7 +41,6 @@ from torchreg.registration import LEARNED, PAPER, derive_options, options_for
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.registration.spacing import spacing
-from torchreg.report.explain import explanation as _explanation  # noqa: F401  # the words of RegistrationResult.explain
 from torchreg.solvers import CompatibilityOptions, RansacOptions, Solver
 from torchreg.solvers.compatibility import compatibility
 from torchreg.solvers.ransac import ransac
@@ -118,6 +117,16 @@ __all__ = [
 ]
 
 _ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference")
+
+
+def _explain(result: RegistrationResult, pair: int) -> str:
+    """The words of ``RegistrationResult.explain``, loaded when first asked for: ``report`` stands above ``types``."""
+    from torchreg.report.explain.explanation import explanation
+
+    return explanation(result, pair)
+
+
+RegistrationResult.explainer = _explain
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""One way to say what was expected and what came."""
+"""Checks of arguments whose messages name the argument, the expected and the received value."""
 
 from __future__ import annotations
 

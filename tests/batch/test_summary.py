@@ -5,7 +5,7 @@ from rich.console import Console
 
 from torchreg.batch.rows import COLUMNS
 from torchreg.batch.summary import summarize
-from torchreg.report.batch_table import summary_table
+from torchreg.report import summary_table
 
 
 def line(name, state="registered", *, found=None, probability=None, **known):

@@ -52,8 +52,8 @@ def test_values_are_those_of_open3d(threshold):
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(side.points))) for side in pair[:2]]
     expected = o3d.pipelines.registration.evaluate_registration(*clouds, threshold, T.numpy())
     assert 0 < expected.inlier_rmse < threshold
-    found = tr.metrics.fitness(pair.source, pair.target, T[None], threshold)
-    assert found.tolist() == pytest.approx([expected.fitness], abs=1e-12)
+    fitness = tr.metrics.fitness(pair.source, pair.target, T[None], threshold)
+    assert fitness.tolist() == pytest.approx([expected.fitness], abs=1e-12)
     rmse = tr.metrics.inlier_rmse(pair.source, pair.target, T[None], threshold)
     assert rmse.tolist() == pytest.approx([expected.inlier_rmse], rel=1e-9)
 
@@ -93,11 +93,11 @@ def test_a_batch_equals_the_loop_over_its_pairs():
 
 def test_the_number_of_threads_changes_nothing():
     pair = room_pair(6000)
-    found = []
+    errors = []
     for number in THREADS:
         with threads(number):
-            found.append(tr.metrics.inlier_rmse(pair.source, pair.target, pair.T_target_source, 0.1))
-    assert all(same_bits(one, found[0]) for one in found)
+            errors.append(tr.metrics.inlier_rmse(pair.source, pair.target, pair.T_target_source, 0.1))
+    assert all(same_bits(one, errors[0]) for one in errors)
 
 
 def test_an_empty_batch_has_no_values():

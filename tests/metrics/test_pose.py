@@ -1,4 +1,4 @@
-"""The errors of Eq. (5) to (7) against hand-made values and the formulas."""
+"""The errors of Eq. (5) to (7) against hand-made values and the formulas, and recall by both definitions."""
 
 import math
 
@@ -31,8 +31,8 @@ def turned(degrees, axis=(0.0, 0.0, 1.0), translation=(0.0, 0.0, 0.0)):
 def test_rotation_error_is_the_angle_of_the_turn(degrees, axis):
     generator = torch.Generator().manual_seed(0)
     T = random_transform(generator)
-    found = float(tr.metrics.rre(T, T @ turned(degrees, axis)))
-    assert found == pytest.approx(degrees, rel=1e-6, abs=1e-13)
+    error = float(tr.metrics.rre(T, T @ turned(degrees, axis)))
+    assert error == pytest.approx(degrees, rel=1e-6, abs=1e-13)
 
 
 @given(st.integers(0, 2**31))
@@ -126,12 +126,12 @@ def test_pose_errors_of_a_known_difference():
     T = turned(2, translation=(0.0, 0, 3))
     origin = torch.tensor([[9.0, 0, 0]], dtype=torch.float64)
     cloud = tr.Clouds(points=torch.tensor([[1.0, 0, 0], [-1, 0, 0]]), origin=origin)
-    found = tr.metrics.pose_errors(cloud, EYE, T)
+    errors = tr.metrics.pose_errors(cloud, EYE, T)
     chords = [2 * radius * math.sin(math.radians(1)) for radius in (10, 8)]
-    assert found.rre_degrees == pytest.approx(2)
-    assert found.rte_meters == pytest.approx(3)
-    assert found.rmse_meters == pytest.approx(math.sqrt(sum(chord**2 + 9 for chord in chords) / 2))
-    assert all(isinstance(value, float) for value in found)
+    assert errors.rre_degrees == pytest.approx(2)
+    assert errors.rte_meters == pytest.approx(3)
+    assert errors.rmse_meters == pytest.approx(math.sqrt(sum(chord**2 + 9 for chord in chords) / 2))
+    assert all(isinstance(value, float) for value in errors)
     assert tr.metrics.pose_errors(cloud, T, T).rmse_meters == 0
 
 
@@ -145,3 +145,41 @@ def test_pose_errors_refuse_what_does_not_fit():
         tr.metrics.pose_errors(cloud, EYE, EYE[:3])
     with refuses("points", "at least one"):
         tr.metrics.pose_errors(tr.Clouds(points=torch.zeros(0, 3)), EYE, EYE)
+
+
+def test_both_errors_must_be_below_their_bounds():
+    errors = ((14.9, 0.29), (1.0, 0.31), (15.1, 0.1), (0.0, 0.0))
+    estimated = torch.stack([turned(degrees, translation=(meters, 0, 0)) for degrees, meters in errors])
+    assert tr.metrics.recalled_by_error(EYE.expand(4, 4, 4), estimated).tolist() == [True, False, False, True]
+    wide = tr.metrics.recalled_by_error(EYE.expand(4, 4, 4), estimated, rotation=20.0, translation=1.0)
+    assert wide.tolist() == [True] * 4
+
+
+def test_the_error_of_true_correspondences_must_be_below_its_bound():
+    errors = torch.tensor([0.1, 0.2, 0.3])
+    assert tr.metrics.recalled_by_rmse(errors).tolist() == [True, False, False]
+    assert tr.metrics.recalled_by_rmse(errors, bound=0.25).tolist() == [True, True, False]
+
+
+def test_recall_is_the_share_of_pairs():
+    assert float(tr.metrics.registration_recall(torch.tensor([True, False, True, True]))) == 0.75
+
+
+def test_an_error_that_is_no_number_is_not_recalled():
+    assert tr.metrics.recalled_by_rmse(torch.tensor([float("nan")])).tolist() == [False]
+    assert tr.metrics.recalled_by_error(EYE, EYE * float("nan")).tolist() is False
+
+
+@pytest.mark.parametrize("bound", [0, -1.0, float("nan")])
+def test_bounds_that_are_not_above_zero_are_refused(bound):
+    with refuses("rotation", "above 0"):
+        tr.metrics.recalled_by_error(EYE, EYE, rotation=bound)
+    with refuses("translation", "above 0"):
+        tr.metrics.recalled_by_error(EYE, EYE, translation=bound)
+    with refuses("bound", "above 0"):
+        tr.metrics.recalled_by_rmse(torch.zeros(1), bound=bound)
+
+
+def test_recall_of_no_pairs_is_refused():
+    with refuses("recalled", "at least one pair"):
+        tr.metrics.registration_recall(torch.zeros(0, dtype=torch.bool))

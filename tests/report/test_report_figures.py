@@ -11,7 +11,7 @@ from problems import random_transform, room_pair
 
 import torchreg as tr
 from torchreg.report import demo_figure, registration_figure, save_figure
-from torchreg.report.panels import SOURCE_COLOR, TARGET_COLOR
+from torchreg.report.figures import SOURCE_COLOR, TARGET_COLOR
 
 DPI = 50
 
@@ -158,7 +158,7 @@ def test_refusals(twin):
         registration_figure(source, target, T[None])
     with pytest.raises(ValueError, match="max_points"):
         registration_figure(source, target, T, max_points=0)
-    with pytest.raises(ValueError, match="found"):
+    with pytest.raises(ValueError, match="transforms"):
         demo_figure(source, target, [])
 
 

@@ -1,4 +1,4 @@
-"""The picture of the matches: the right places, both kinds told apart, and whatever comes drawn."""
+"""The picture of the matches: lines at the right places, inliers and outliers distinct, any clouds drawn."""
 
 import io
 from dataclasses import replace
@@ -14,12 +14,10 @@ from refusals import refuses
 from results import bare_result
 
 import torchreg as tr
-from torchreg.registration.describe import downsample
 from torchreg.report import correspondence_figure
-from torchreg.report.correspondence_figure import INLIER_COLOR, OUTLIER_COLOR
-from torchreg.report.layout import layout_of
-from torchreg.report.matched import Matched, drawn_matches, matched_points
+from torchreg.report.correspondences import INLIER_COLOR, OUTLIER_COLOR, MatchEnds, drawn_matches, match_ends
 from torchreg.report.scene import scene_of
+from torchreg.report.views import layout_of
 
 PLAIN = tr.RegistrationOptions(
     normal_radius=0.3, feature_radius=0.6, color_radius=0.5, ransac=tr.RansacOptions(inlier_threshold=0.15)
@@ -28,7 +26,7 @@ PLAIN = tr.RegistrationOptions(
 
 @pytest.fixture(scope="module")
 def registered():
-    """Two rooms as one batch, the first refused, and what was found; the rows are those of voxel means."""
+    """Two pairs as one batch, the first refused, and their result; the rows are those of voxel means."""
     pair = room_pair(4000, seed=1)
     line = tr.Clouds(points=torch.linspace(0, 1, 50)[:, None] * torch.ones(3), colors=torch.rand(50, 3))
     source, target = tr.Clouds.pack([line, pair.source]), tr.Clouds.pack([line, pair.target])
@@ -50,8 +48,8 @@ def solved():
 
 def lines_of(figure):
     """Line segments (L, 2, 2) by color."""
-    found = [part for part in figure.axes[0].collections if isinstance(part, LineCollection)]
-    return {to_hex(part.get_colors()[0]): np.array(part.get_segments()).reshape(-1, 2, 2) for part in found}
+    parts = [part for part in figure.axes[0].collections if isinstance(part, LineCollection)]
+    return {to_hex(part.get_colors()[0]): np.array(part.get_segments()).reshape(-1, 2, 2) for part in parts}
 
 
 def labels_of(figure):
@@ -59,42 +57,44 @@ def labels_of(figure):
 
 
 @pytest.mark.parametrize("voxel_size", [None, 0.1])
-def test_rows_are_those_of_the_downsampled_clouds(registered, voxel_size):
-    """Computed once more, they bring every inlier within the threshold, and no other match."""
+def test_rows_are_those_of_the_clouds_that_were_matched(registered, voxel_size):
+    """The transform brings every inlier within the threshold, and no other match."""
     source, target = (cloud.select(1) for cloud in registered[:2])
     result = tr.register(source, target, replace(PLAIN, voxel_size=voxel_size))
-    matched = matched_points(source, target, result, 0)
-    clouds = [downsample(cloud, result.options) for cloud in (source, target)]
-    np.testing.assert_array_equal(matched.source, clouds[0].points[result.correspondences.source].double())
+    ends = match_ends(result, 0)
+    np.testing.assert_array_equal(ends.source, result.source.points[result.correspondences.source].double())
+    if voxel_size is not None:
+        means = tr.voxel_downsample(source, voxel_size).points[result.correspondences.source]
+        np.testing.assert_array_equal(ends.source, means.double())
     T = result.T_target_source[0].numpy()
-    apart = np.linalg.norm(matched.source @ T[:3, :3].T + T[:3, 3] - matched.target, axis=1)
-    wrong = (apart < PLAIN.ransac.inlier_threshold) != matched.inlier
-    assert wrong.sum() <= 0.1 * matched.inlier.sum()
-    assert matched.inlier.sum() > 30
+    apart = np.linalg.norm(ends.source @ T[:3, :3].T + T[:3, 3] - ends.target, axis=1)
+    wrong = (apart < PLAIN.ransac.inlier_threshold) != ends.inlier
+    assert wrong.sum() <= 0.1 * ends.inlier.sum()
+    assert ends.inlier.sum() > 30
 
 
 def test_rows_of_a_batch_with_a_refused_pair(registered):
     source, target, result = registered
     alone = tr.register(source.select(1), target.select(1), result.options[1])
-    one, other = matched_points(source, target, result, 1), matched_points(source.select(1), target.select(1), alone, 0)
-    for name in Matched._fields:
+    one, other = match_ends(result, 1), match_ends(alone, 0)
+    for name in MatchEnds._fields:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert len(matched_points(source, target, result, 0).inlier) == 0
+    assert len(match_ends(result, 0).inlier) == 0
 
 
 def test_rows_of_a_solver_are_those_of_the_clouds_as_they_are(solved):
     problem, result = solved
-    matched = matched_points(problem.source, problem.target, result, 0)
-    np.testing.assert_array_equal(matched.source, problem.source.points[problem.matches.source].numpy())
-    np.testing.assert_array_equal(matched.target, problem.target.points[problem.matches.target].numpy())
-    np.testing.assert_array_equal(matched.inlier, problem.is_inlier.numpy())
+    ends = match_ends(result, 0)
+    np.testing.assert_array_equal(ends.source, problem.source.points[problem.matches.source].numpy())
+    np.testing.assert_array_equal(ends.target, problem.target.points[problem.matches.target].numpy())
+    np.testing.assert_array_equal(ends.inlier, problem.is_inlier.numpy())
 
 
 def test_lines_of_inliers_are_parallel_and_those_of_outliers_are_not(solved):
     problem, result = solved
     lines = lines_of(correspondence_figure(problem.source, problem.target, result, max_matches=200))
     assert set(lines) == {INLIER_COLOR, OUTLIER_COLOR}
-    steps = {color: found[:, 1] - found[:, 0] for color, found in lines.items()}
+    steps = {color: drawn[:, 1] - drawn[:, 0] for color, drawn in lines.items()}
     assert steps[INLIER_COLOR].std(axis=0).max() < 0.1 < steps[OUTLIER_COLOR].std(axis=0).max()
     assert np.linalg.norm(steps[INLIER_COLOR].mean(axis=0)) > 10  # the size of the clouds
 
@@ -103,7 +103,7 @@ def test_the_legend_counts_all_and_says_how_many_are_drawn(solved):
     problem, result = solved
     figure = correspondence_figure(problem.source, problem.target, result, max_matches=40, title="a title")
     assert labels_of(figure) == ["inliers: 200 of 400 (50 %), 20 drawn", "outliers: 200 of 400 (50 %), 20 drawn"]
-    assert [len(found) for found in lines_of(figure).values()] == [20, 20]
+    assert [len(drawn) for drawn in lines_of(figure).values()] == [20, 20]
     all_of_them = correspondence_figure(problem.source, problem.target, result, max_matches=1000)
     assert labels_of(all_of_them)[0] == "inliers: 200 of 400 (50 %)"
     assert figure.get_suptitle() == "a title"
@@ -116,10 +116,10 @@ def test_the_legend_counts_all_and_says_how_many_are_drawn(solved):
 def test_thinning_keeps_both_kinds_and_their_shares(inliers, count):
     generator = np.random.default_rng(0)
     points = generator.random((1000, 3))
-    matched = Matched(points, points, np.arange(1000) < inliers)
-    inlier, outlier = drawn_matches(matched, count)
-    assert matched.inlier[inlier].all()
-    assert not matched.inlier[outlier].any()
+    ends = MatchEnds(points, points, np.arange(1000) < inliers)
+    inlier, outlier = drawn_matches(ends, count)
+    assert ends.inlier[inlier].all()
+    assert not ends.inlier[outlier].any()
     assert len(inlier) + len(outlier) == min(count, 1000)
     assert len(set(inlier)) + len(set(outlier)) == min(count, 1000)
     if count == 50:
@@ -136,8 +136,8 @@ def test_the_clouds_stand_apart(registered, success):
     placed = scene.moved(result.T_target_source[1]) if success else scene.source
     layout = layout_of(placed, scene)
     shifted = (placed + layout.shift)[:, layout.axis]
-    own = scene.target[:, layout.axis]
-    assert shifted.max() < np.quantile(own, 0.01) or shifted.min() > np.quantile(own, 0.99)
+    target_along = scene.target[:, layout.axis]
+    assert shifted.max() < np.quantile(target_along, 0.01) or shifted.min() > np.quantile(target_along, 0.99)
     assert np.count_nonzero(layout.shift) == 1
 
 
@@ -181,12 +181,12 @@ def test_clouds_far_from_their_zero(registered):
     source, target = (cloud.select(1) for cloud in registered[:2])
     result = tr.register(source, target, PLAIN)
     origin = torch.tensor([[4.5e5, 5.4e6, 300.0]], dtype=torch.float64)
-    far = replace(target, origin=origin)
+    far, matched = replace(target, origin=origin), replace(result.target, origin=origin)
     T = result.T_target_source.clone()
     T[:, :3, 3] += origin[0]
-    moved = correspondence_figure(source, far, replace(result, T_target_source=T))
-    for color, found in lines_of(correspondence_figure(source, target, result)).items():
-        np.testing.assert_allclose(lines_of(moved)[color], found, atol=1e-6)
+    moved = correspondence_figure(source, far, replace(result, T_target_source=T, target=matched))
+    for color, lines in lines_of(correspondence_figure(source, target, result)).items():
+        np.testing.assert_allclose(lines_of(moved)[color], lines, atol=1e-6)
     assert " - 450000 (m)" in moved.axes[0].get_xlabel() + moved.axes[0].get_ylabel()
 
 
@@ -213,9 +213,9 @@ def test_refusals(solved):
         correspondence_figure(source, target, result, max_matches=0)
     with refuses("max_points", "0"):
         correspondence_figure(source, target, result, max_points=0)
-    few = tr.Clouds(points=target.points[:7])
-    with refuses("target", "the cloud that was registered", "7 points"):
-        correspondence_figure(source, few, result)
+    elsewhere = replace(target, origin=target.origin + 1)
+    with refuses("target", "clouds that were registered", "other origins"):
+        correspondence_figure(source, elsewhere, result)
 
 
 def test_titles_are_not_taken_for_formulas(solved):
@@ -225,13 +225,15 @@ def test_titles_are_not_taken_for_formulas(solved):
 
 
 def test_a_transform_that_is_not_the_true_one_shows():
-    """Under another transform the same inliers are no longer parallel: the picture is of what was found."""
+    """Under another transform the same inliers are no longer parallel: the picture is that of the result."""
     problem = correspondence_problem(300, 0.2, seed=3)
     generator = torch.Generator().manual_seed(0)
     wrong = bare_result(
         T_target_source=random_transform(generator)[None],
         inliers=problem.is_inlier,
         correspondences=problem.matches,
+        source=problem.source,
+        target=problem.target,
     )
     steps = lines_of(correspondence_figure(problem.source, problem.target, wrong))[INLIER_COLOR]
     assert (steps[:, 1] - steps[:, 0]).std(axis=0).max() > 1

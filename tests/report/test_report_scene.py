@@ -6,8 +6,7 @@ import torch
 from problems import random_transform
 
 import torchreg as tr
-from torchreg.report.scene import scene_of
-from torchreg.report.thinning import box, thin
+from torchreg.report.scene import box, scene_of, thin
 from torchreg.report.views import VIEWS, slice_of
 
 
@@ -83,9 +82,8 @@ def test_moved_points_are_those_of_transform():
     scene = scene_of(source, target, 100)
     moved = tr.transform(source, T)
     expected = moved.points.double() + moved.origin - target.origin  # float32 points: to 0.1 micrometer
-    found = torch.from_numpy(scene.moved(T))
     order = thin(source.points.double().numpy(), 100)
-    torch.testing.assert_close(found, expected[order], atol=2e-6, rtol=1e-12)
+    torch.testing.assert_close(torch.from_numpy(scene.moved(T)), expected[order], atol=2e-6, rtol=1e-12)
 
 
 def test_no_points_are_left_out_of_colors():

@@ -4,6 +4,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import room_pair
 from refusals import refuses
 
 import torchreg as tr
@@ -113,3 +114,17 @@ def test_restrict_refuses_what_does_not_fit():
         near.restrict(torch.ones(3))
     with refuses("max_neighbors", "at least 1", "0"):
         near.restrict(max_neighbors=0)
+
+
+def test_trimming_keeps_every_neighbor_and_no_empty_column():
+    scan = room_pair(300).source
+    near = tr.neighbors(scan, 0.6, 80)
+    trimmed = near.trimmed()
+    assert trimmed.max_neighbors == int(near.counts().max()) < 80
+    assert torch.equal(trimmed.counts(), near.counts())
+    assert torch.equal(tr.pcfh(scan, trimmed).values, tr.pcfh(scan, near).values)
+
+
+def test_an_empty_neighborhood_keeps_one_slot():
+    empty = tr.neighbors(tr.Clouds(points=torch.zeros(0, 3)), 1.0, 5)
+    assert empty.trimmed().max_neighbors == 1

@@ -1,4 +1,4 @@
-"""A result checks that it speaks of as many pairs throughout."""
+"""A result checks that all its fields have as many pairs, and a failure that its kind is known."""
 
 import pytest
 import torch
@@ -9,6 +9,7 @@ import torchreg as tr
 
 MATCHES = matched(torch.arange(4), torch.arange(4))
 COUNT = torch.zeros(1, dtype=torch.int64)
+CLOUD = tr.Clouds(torch.zeros(4, 3))
 NUMBER = torch.zeros(1, dtype=torch.float64)
 FIELDS = {
     "T_target_source": torch.eye(4, dtype=torch.float64)[None],
@@ -16,8 +17,10 @@ FIELDS = {
     "fitness": NUMBER,
     "inlier_rmse": NUMBER,
     "success": torch.zeros(1, dtype=torch.bool),
-    "reason": ("no reason",),
+    "failure": (tr.Failure("no consensus", "no reason"),),
     "hypotheses": tr.HypothesisCounts(COUNT, COUNT, COUNT),
+    "source": CLOUD,
+    "target": CLOUD,
     "correspondences": MATCHES,
 }
 
@@ -38,7 +41,9 @@ def test_pairs_are_counted():
         ({"inlier_rmse": torch.zeros(1)}, "inlier_rmse", ["float64", "float32"]),
         ({"success": torch.zeros(2, dtype=torch.bool)}, "success", ["(1,)", "(2,)"]),
         ({"success": torch.zeros(1)}, "success", ["bool", "float32"]),
-        ({"reason": ()}, "reason", ["one text per pair (1)", "()"]),
+        ({"failure": ()}, "failure", ["one or None per pair (1)", "()"]),
+        ({"source": tr.Clouds.pack([CLOUD, CLOUD])}, "source", ["one cloud per pair (1)", "2"]),
+        ({"target": tr.Clouds.pack([CLOUD, CLOUD])}, "target", ["one cloud per pair (1)", "2"]),
         ({"hypotheses": tr.HypothesisCounts(COUNT, torch.zeros(2), COUNT)}, "hypotheses.kept", ["(1,)", "(2,)"]),
         ({"options": (tr.PAPER, tr.PAPER)}, "options", ["(1)", "2"]),
         ({"notes": ((), ())}, "notes", ["(1)", "2"]),
@@ -47,3 +52,13 @@ def test_pairs_are_counted():
 def test_what_does_not_fit_is_refused(fields, name, parts):
     with refuses(name, *parts):
         tr.RegistrationResult(**(FIELDS | fields))
+
+
+def test_the_reason_is_the_text_of_the_failure():
+    assert tr.RegistrationResult(**FIELDS).reason == ("no reason",)
+    assert tr.RegistrationResult(**(FIELDS | {"failure": (None,)})).reason == ("",)
+
+
+def test_a_failure_of_an_unknown_kind_is_refused():
+    with refuses("kind", "'no consensus'", "'bad luck'"):
+        tr.Failure("bad luck", "no reason")

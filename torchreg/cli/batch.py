@@ -163,7 +163,7 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     from torchreg.batch.export import export
     from torchreg.batch.summary import summarize
     from torchreg.io.atomic import atomic_write
-    from torchreg.report.batch_table import summary_table
+    from torchreg.report import summary_table
 
     store.mend_records(pairs)
     rows = store.finished()

@@ -18,13 +18,12 @@ from torchreg.datasets import ScanPair, mall
 from torchreg.io import write_cloud, write_result_json, write_transform_text
 from torchreg.metrics import inlier_ratio, pose_errors, recalled_by_rmse
 from torchreg.registration import PAPER, derive_options
-from torchreg.registration.describe import downsample
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
-from torchreg.report import DemoRow, demo_figure, demo_sentence, demo_table, save_figure
-from torchreg.report.save import FIGURE_SUFFIXES
+from torchreg.report import FIGURE_SUFFIXES, DemoRow, demo_figure, demo_sentence, demo_table, save_figure
 from torchreg.report.text import legible
-from torchreg.types import Clouds, RegistrationResult
+from torchreg.solvers import RansacOptions
+from torchreg.types import RegistrationResult
 
 OutFolder = Annotated[
     Path | None,
@@ -37,14 +36,14 @@ OutFolder = Annotated[
 ]
 AngularStep = Annotated[
     float,
-    typer.Option("--angular-step", metavar="DEGREES", help="Between neighboring rays of the scanner, in degrees."),
+    typer.Option("--angular-step", metavar="DEGREES", help="Angle between neighboring rays, in degrees."),
 ]
 PictureFile = Annotated[
     Path,
     typer.Option(
         "--figure",
         metavar="FILE.png",
-        help="The picture: before, and what each method found, axes in meters (.png, .pdf or .svg).",
+        help="The picture: before, and under the transform of each method, axes in meters (.png, .pdf or .svg).",
         rich_help_panel="Output",
     ),
 ]
@@ -59,35 +58,35 @@ def demo(
     """Scan a simulated mall twice, register the scans, and show what color adds to geometry.
 
     FPFH alone and FPFH with PCFH run with the paper's lengths in meters, on some 10,000 points averaged over voxels;
-    then lengths derived from the scans: the plain procedure without color, and the default. Right is a result
-    whose RMSE under the true motion is below its inlier threshold. Exit code 0: that of the default options is. 3: it
-    is not.
+    then lengths derived from the scans: the plain procedure without color, and the default. A result is
+    right where its RMSE under the true motion is below its inlier threshold. Exit code 0: the result of the default
+    options is right. 3: it is not.
     """
     check_outputs([Output("--figure", figure, FIGURE_SUFFIXES)], [])
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     with step("scanning a simulated mall from two stations"):
         pair = mall(seed, angular_step=angular_step)
-    clouds = [pair.source, pair.target]
     default = derive_options(pair.source, pair.target)[0]
     paper = replace(PAPER, voxel_size=default.voxel_size)
+    plain = replace(default, solver=RansacOptions(inlier_threshold=default.inlier_threshold), effort="plain")
     runs: list[tuple[str, RegistrationOptions]] = [
-        ("paper: FPFH alone", replace(paper, color=(), color_weights=())),
+        ("paper: FPFH alone", paper.without_color()),
         ("paper: FPFH + PCFH", paper),
-        ("plain, without color", replace(default, color=(), color_weights=(), solver="ransac", effort="plain")),
+        ("plain, without color", plain.without_color()),
         ("default", default),
     ]
     rows: list[DemoRow] = []
     for method, options in runs:
         with step(f"registering: {method}"):
-            row, result = _run(pair, method, clouds, options, seed)
+            row, result = _run(pair, method, options, seed)
         rows.append(row)
     if out is not None:
         _write(out, pair, result, seed)
     with step(f"drawing {figure.name}"):
-        found = [(f"{row.method}: {'right' if row.right else 'wrong'}", row.T_target_source) for row in rows[2:]]
-        drawn = demo_figure(pair.source, pair.target, found, title=f"Two scans of a simulated mall (seed {seed})")
-        save_figure(drawn, figure)
+        transforms = [(f"{row.method}: {'right' if row.right else 'wrong'}", row.T_target_source) for row in rows[2:]]
+        title = f"Two scans of a simulated mall (seed {seed})"
+        save_figure(demo_figure(pair.source, pair.target, transforms, title=title), figure)
     console = standard_output()
     console.print(demo_table(rows))
     console.print(f"\n{demo_sentence(rows[2], rows[3])}\nThe picture: {legible(str(figure))}", soft_wrap=True)
@@ -95,21 +94,17 @@ def demo(
         raise typer.Exit(NOT_REGISTERED)
 
 
-def _run(
-    pair: ScanPair, method: str, clouds: list[Clouds], options: RegistrationOptions, seed: int
-) -> tuple[DemoRow, RegistrationResult]:
+def _run(pair: ScanPair, method: str, options: RegistrationOptions, seed: int) -> tuple[DemoRow, RegistrationResult]:
     begin = time.perf_counter()
-    result = register(clouds[0], clouds[1], options, seed=seed)
+    result = register(pair.source, pair.target, options, seed=seed)
     seconds = time.perf_counter() - begin
-    source, target = (downsample(cloud, result.options) for cloud in clouds)
     threshold, T_true = options.ransac.inlier_threshold, pair.T_target_source
     T, success = result.T_target_source[0], bool(result.success[0])
     errors = pose_errors(pair.source, T_true, T)
     row = DemoRow(
         method=method,
-        points=(len(source.points), len(target.points)),
-        inlier_ratio=float(inlier_ratio(source, target, result.correspondences, T_true[None], threshold)),
-        threshold=threshold,
+        points=(len(result.source.points), len(result.target.points)),
+        inlier_ratio=float(inlier_ratio(result.source, result.target, result.correspondences, T_true[None], threshold)),
         errors=errors,
         seconds=seconds,
         success=success,

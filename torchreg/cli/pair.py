@@ -66,11 +66,6 @@ class ReadPair:
         """File name and size of both."""
         return self._said(0), self._said(1)
 
-    @property
-    def colored(self) -> bool:
-        """Whether both have colors."""
-        return all(file.has_colors for file in self.files)
-
     def counts(self) -> dict[str, dict[str, int]]:
         """Points in the files and points used, for JSON."""
         numbers = zip(("source", "target"), self.files, self.used, strict=True)

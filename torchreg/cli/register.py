@@ -17,7 +17,7 @@ from torchreg.cli.pair import PairInput, ReadPair, read_pair
 from torchreg.cli.progress import step
 from torchreg.metrics import pose_errors
 from torchreg.registration.register import register as register_clouds
-from torchreg.report.save import FIGURE_SUFFIXES
+from torchreg.report import FIGURE_SUFFIXES
 from torchreg.types import RegistrationResult
 
 
@@ -91,8 +91,8 @@ def register(
     if outputs.json == STANDARD_OUTPUT:
         complain("registered" if success else f"not registered: {reason}")
     else:
-        words, colored = pair.words, pair.colored
-        table = registration_table(result, source=words[0], target=words[1], colored=colored, truth=errors)
+        words = pair.words
+        table = registration_table(result, source=words[0], target=words[1], truth=errors)
         standard_output().print(table)
     if explain:
         console = standard_output(stderr=outputs.json == STANDARD_OUTPUT)

@@ -1,10 +1,23 @@
-"""How right a registration is: errors of a transform, coverage of clouds, quality of matches, recall."""
+"""Measures of a registration: errors of a transform, coverage of clouds, quality of matches, recall."""
 
 from torchreg.metrics.fit import fitness, inlier_rmse, overlap
-from torchreg.metrics.matches import feature_match_recall, inlier_ratio
-from torchreg.metrics.pose import PoseErrors, pose_errors, rmse, rre, rte
-from torchreg.metrics.recall import recalled_by_error, recalled_by_rmse, registration_recall
-from torchreg.metrics.true_matches import information_of_matches, rmse_by_information, rmse_of_true_matches
+from torchreg.metrics.matches import (
+    feature_match_recall,
+    information_of_matches,
+    inlier_ratio,
+    rmse_by_information,
+    rmse_of_true_matches,
+)
+from torchreg.metrics.pose import (
+    PoseErrors,
+    pose_errors,
+    recalled_by_error,
+    recalled_by_rmse,
+    registration_recall,
+    rmse,
+    rre,
+    rte,
+)
 
 __all__ = [
     "PoseErrors",

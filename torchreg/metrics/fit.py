@@ -1,4 +1,4 @@
-"""How far two clouds cover each other under a transform."""
+"""Coverage of two clouds by each other under a transform."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def _coverage(source: Clouds, target: Clouds, T_target_source: Tensor, threshold
     positive(threshold, "threshold")
     R, t = relative_transform(source, target, T_target_source)
     pairs = zip(source.unpack(), target.unpack(), R, t, strict=True)
-    found = [coverage(one.points, other.points, rotation, move, threshold) for one, other, rotation, move in pairs]
+    fits = [coverage(one.points, other.points, rotation, move, threshold) for one, other, rotation, move in pairs]
     empty = R.new_zeros(0)
     return (
-        torch.stack([near.fitness for near in found]) if found else empty,
-        torch.stack([near.inlier_rmse for near in found]) if found else empty,
+        torch.stack([fit.fitness for fit in fits]) if fits else empty,
+        torch.stack([fit.inlier_rmse for fit in fits]) if fits else empty,
     )

@@ -1,4 +1,4 @@
-"""Errors of an estimated transform against the true one: the paper's Eq. (5) to (7)."""
+"""Errors of an estimated transform against the true one, the paper's Eq. (5) to (7), and registration recall."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.types import Clouds
 
@@ -46,8 +46,8 @@ def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErro
     expect_shape(T_true, "T_true", (4, 4))
     expect_shape(T_estimated, "T_estimated", (4, 4))
     points = source.points.detach().cpu().to(torch.float64) + source.origin.cpu()
-    true, found = (T.detach().cpu().to(torch.float64) for T in (T_true, T_estimated))
-    return PoseErrors(float(rre(true, found)), float(rte(true, found)), float(rmse(true, found, points)))
+    pair = (T_true.detach().cpu().to(torch.float64), T_estimated.detach().cpu().to(torch.float64))
+    return PoseErrors(float(rre(*pair)), float(rte(*pair)), float(rmse(*pair, points)))
 
 
 def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
@@ -97,6 +97,35 @@ def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
     moved = apply_rotation(difference[..., None, :, :3], wide) + difference[..., None, :, 3]  # (..., P, 3)
     mean: Tensor = (moved * moved).sum(dim=-1).mean(dim=-1)
     return torch.sqrt(mean)
+
+
+def recalled_by_error(
+    T_true: Tensor, T_estimated: Tensor, *, rotation: float = 15.0, translation: float = 0.3
+) -> Tensor:
+    """(B,) bool: rotation error (degrees) and translation error (meters) both below their bounds.
+
+    The bounds are those of Choy, Dong and Koltun, Deep Global Registration, CVPR 2020,
+    doi:10.1109/CVPR42600.2020.00259, for 3DMatch: 15 degrees and 0.3 m.
+    """
+    positive(rotation, "rotation")
+    positive(translation, "translation")
+    return (rre(T_true, T_estimated) < rotation) & (rte(T_true, T_estimated) < translation)
+
+
+def recalled_by_rmse(errors: Tensor, *, bound: float = 0.2) -> Tensor:
+    """(B,) bool: the root mean square error (B,) of true correspondences is below the bound.
+
+    Choi, Zhou and Koltun, Robust Reconstruction of Indoor Scenes, CVPR 2015, doi:10.1109/CVPR.2015.7299195:
+    0.2 m; the errors are ``rmse`` over the points that overlap under the truth.
+    """
+    positive(bound, "bound")
+    return errors < bound
+
+
+def registration_recall(recalled: Tensor) -> Tensor:
+    """Share of pairs (B,) bool that are recalled, a scalar; at least one pair is needed."""
+    expect(recalled.numel() > 0, "recalled", "at least one pair", recalled)
+    return recalled.double().mean()
 
 
 def _check(T_true: Tensor, T_estimated: Tensor) -> None:

@@ -119,6 +119,13 @@ class RegistrationOptions:
         """The same options for points ``factor`` times as far apart: every length multiplied."""
         return scaled(self, factor)
 
+    def without_color(self) -> RegistrationOptions:
+        """The same options with the descriptors alone that need no colors."""
+        kept = [each for each in zip(self.descriptors, self.weights, strict=True) if not each[0].needs_colors]
+        return replace(
+            self, descriptors=tuple(record for record, _ in kept), weights=tuple(weight for _, weight in kept)
+        )
+
     @property
     def feature_radius(self) -> float:
         """Meters, of the first descriptor of geometry; of the first descriptor where none is."""

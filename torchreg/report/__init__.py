@@ -3,12 +3,11 @@
 matplotlib is imported when the first picture is drawn.
 """
 
-from torchreg.report.cloud_table import cloud_table
-from torchreg.report.correspondence_figure import correspondence_figure
-from torchreg.report.demo_table import DemoRow, demo_sentence, demo_table
-from torchreg.report.figure import demo_figure, registration_figure
-from torchreg.report.registration_table import matrix_text, registration_table
-from torchreg.report.save import FIGURE_SUFFIXES, save_figure
+from torchreg.report.canvas import FIGURE_SUFFIXES, save_figure
+from torchreg.report.correspondences import correspondence_figure
+from torchreg.report.demo import DemoRow, demo_sentence, demo_table
+from torchreg.report.figures import demo_figure, registration_figure
+from torchreg.report.tables import cloud_table, matrix_text, registration_table, summary_table
 
 __all__ = [
     "FIGURE_SUFFIXES",
@@ -22,4 +21,5 @@ __all__ = [
     "registration_figure",
     "registration_table",
     "save_figure",
+    "summary_table",
 ]

@@ -1,4 +1,4 @@
-"""What a picture shows: the points of both clouds in one frame, under one transform or another."""
+"""What a picture shows: points of both clouds, thinned, in one frame, under one transform or another."""
 
 from __future__ import annotations
 
@@ -11,19 +11,24 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.metrics.fit import relative_transform
-from torchreg.report.thinning import box, thin
 from torchreg.types import Clouds
 
+Box = tuple[NDArray[Any], NDArray[Any]]
+"""The lowest and the highest corner, (D,) each."""
+
 _FAR = 3.0  # diagonals between two clouds: more, and one picture cannot show both
+_SEED = 0
+_CELLS = 400  # along the longest edge: about the pixels of one panel
+_FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Thinned clouds, ready to be drawn.
+    """Two thinned clouds in the frame of a picture, which is the target's.
 
     Attributes:
         source: (N, 3) float64, meters, relative to the source's origin.
-        target: (M, 3) float64, meters, relative to the target's origin: the frame of the picture.
+        target: (M, 3) float64, meters, relative to the target's origin.
         colors: (N + M, 3) in [0, 1], source before target, or ``None`` where one of them has none.
         counts: points of source and target before thinning.
         clouds: the clouds themselves.
@@ -35,12 +40,13 @@ class Scene:
     counts: tuple[int, int]
     clouds: tuple[Clouds, Clouds]
 
-    def moved(self, T_target_source: Tensor) -> NDArray[Any]:
-        """The source (N, 3) in the frame of the picture, under a transform (4, 4), origins included."""
+    def moved(self, T_target_source: Tensor, points: NDArray[Any] | None = None) -> NDArray[Any]:
+        """The source, or other points (N, 3) in its frame, under a transform (4, 4), origins included."""
         expect_shape(T_target_source, "T_target_source", (4, 4))
         T = T_target_source.to(device=self.clouds[0].device)[None]
         R, t = relative_transform(*self.clouds, T)
-        moved: NDArray[Any] = self.source @ R[0].cpu().numpy().T + t[0].cpu().numpy()
+        before = self.source if points is None else points
+        moved: NDArray[Any] = before @ R[0].cpu().numpy().T + t[0].cpu().numpy()
         return moved
 
     def unmoved(self) -> tuple[NDArray[Any], float]:
@@ -70,9 +76,9 @@ def scene_of(source: Clouds, target: Clouds, count: int) -> Scene:
         expect(len(cloud) == 1, name, "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
     points, colors = [], []
     for cloud in (source, target):
-        own = cloud.points.detach().cpu().double().numpy()
-        rows = thin(own, count)
-        points.append(own[rows])
+        all_points = cloud.points.detach().cpu().double().numpy()
+        rows = thin(all_points, count)
+        points.append(all_points[rows])
         if cloud.colors is not None:
             colors.append(np.clip(cloud.colors.detach().cpu().double().numpy()[rows], 0, 1))
     return Scene(
@@ -82,3 +88,50 @@ def scene_of(source: Clouds, target: Clouds, count: int) -> Scene:
         counts=(len(source.points), len(target.points)),
         clouds=(source, target),
     )
+
+
+def thin(points: NDArray[Any], count: int) -> NDArray[np.int64]:
+    """Rows of at most ``count`` finite points, spread over the space that they fill, in a shuffled order.
+
+    A scanner puts most points right beside itself, so a plain random choice would leave the far walls empty:
+    every small cube gives one point before any gives a second.
+
+    Args:
+        points: (N, 3).
+        count: how many stay.
+
+    Returns:
+        (K,) int64, K <= count. The order is shuffled, so its first part is as even as the whole.
+    """
+    order = np.random.default_rng(_SEED).permutation(np.flatnonzero(np.isfinite(points).all(axis=1)))
+    if len(order) <= count:
+        return order
+    low, high = box(points[order])
+    edge = max(float((high - low).max()), 1e-12) / _CELLS
+    cell = np.clip((points[order] - low) / edge, -_CELLS, 2 * _CELLS).astype(np.int64) + _CELLS  # (N, 3)
+    key = (cell[:, 0] * 4 * _CELLS + cell[:, 1]) * 4 * _CELLS + cell[:, 2]
+    first = np.zeros(len(order), dtype=bool)
+    first[np.unique(key, return_index=True)[1]] = True
+    return np.concatenate((order[first], order[~first]))[:count]
+
+
+def box(points: NDArray[Any]) -> Box:
+    """What most points (N, D) fill: a few stray ones do not count."""
+    if len(points) == 0:
+        return np.zeros(points.shape[1]), np.ones(points.shape[1])
+    if len(points) < _FEW:
+        return points.min(axis=0), points.max(axis=0)
+    low, high = np.quantile(points, (0.002, 0.998), axis=0)
+    return low, high
+
+
+def padded(corners: Box, margin: float) -> Box:
+    """The box with a margin all around, a share of its longest edge."""
+    low, high = corners
+    pad = max(margin * float((high - low).max()), 1e-6)
+    return low - pad, high + pad
+
+
+def union(one: Box, other: Box) -> Box:
+    """The least box that holds both."""
+    return np.minimum(one[0], other[0]), np.maximum(one[1], other[1])

@@ -1,17 +1,14 @@
-"""Numbers and names as a table shows them."""
+"""Numbers, names and columns of plain text, as tables and explanations show them."""
 
 from __future__ import annotations
 
-from rich.table import Table
+import math
+from collections.abc import Sequence
+
 from rich.text import Text
 
-
-def two_columns() -> Table:
-    """An empty table of names and values, without lines; long values are folded, never cut."""
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    return table
+_LABEL = 12  # characters, the longest label and two spaces
+_MOST_ODDS = 1e6
 
 
 def plain(text: str) -> Text:
@@ -27,10 +24,62 @@ def legible(text: str) -> str:
 
 
 def meters(value: float) -> str:
-    """Such as ``0.3679 m``: four digits that count."""
+    """Such as ``0.3679 m``: four significant digits."""
     return f"{value:.4g} m"
 
 
 def share(part: int, whole: int) -> str:
-    """Such as ``1,234 of 5,000 (25 %)``."""
+    """Such as ``1,234 of 5,000 (25 %)``, as a table shows it."""
     return f"{part:,} of {whole:,} ({100 * part / max(whole, 1):.3g} %)"
+
+
+def portion(part: int, whole: int) -> str:
+    """Such as ``310 of 2,104 (14.7 %)``, with the digits of ``percent``."""
+    return f"{part:,} of {whole:,} ({percent(part / whole)})" if whole else f"{part:,} of 0"
+
+
+def percent(fraction: float) -> str:
+    """Such as ``12.3 %``; small shares keep two digits."""
+    value = 100 * fraction
+    return f"{value:.0f} %" if value >= 99.95 or value == 0 else f"{value:.3g} %" if value >= 10 else f"{value:.2g} %"
+
+
+def chance(probability: float) -> str:
+    """A probability to three digits, more where three would round it to certainty: ``0.99996`` stays below 1."""
+    if math.isnan(probability):
+        return "-"
+    if 0 < probability < 0.001:
+        return f"{probability:.1e}"
+    digits = 3
+    while round(probability, digits) == 1 and probability < 1 and digits < 9:
+        digits += 1
+    return f"{probability:.{digits}f}"
+
+
+def odds(margin: float) -> str:
+    """Odds in words, from log-odds: ``about 180 to 1``."""
+    if margin > math.log(_MOST_ODDS):
+        return "more than a million to 1"
+    return f"about {math.exp(margin):.2g} to 1" if margin < math.log(100) else f"about {math.exp(margin):,.0f} to 1"
+
+
+def decimal(value: float, digits: int = 2) -> str:
+    """A number with so many decimals, ``-`` for NaN."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def line(label: str, text: str) -> str:
+    """A label and its text in two columns; without a label, text below that of the line above."""
+    return f"{label:<{_LABEL}}{text}"
+
+
+def columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of equally many cells as lines: the first column flush left, the others flush right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if place == 0 else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

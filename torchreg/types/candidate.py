@@ -1,4 +1,4 @@
-"""What was in the running: the poses that solvers proposed, and what each stage had and lost."""
+"""The poses that solvers proposed for one pair, and how much each stage of its run had."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from torch import Tensor
 
 
 class Candidate(NamedTuple):
-    """One pose that was weighed on the clouds. Numbers that nothing speaks of are NaN.
+    """One pose that was weighed on the clouds. A figure that nothing was there to compute from is NaN.
 
     Attributes:
         origin: what proposed it, such as "fpfh + contrast, compatibility" or "slide" for a probe of the verdict.
         T_target_source: (4, 4) float64, meters, origins included.
-        support: matches that it brings within the inlier threshold, of the proposal that speaks loudest for it.
+        support: matches that it brings within the inlier threshold, of the proposal whose agreement with it is the
+            least likely by chance.
         matches: how many matches that proposal had.
         surprise: -log10 of the probability that as many unrelated matches agree.
         overlap: share of points with a partner nearer than the threshold, mean over both directions.
@@ -42,7 +43,7 @@ class Candidate(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """What one set of features and one solver had.
+    """The search with one set of features and one solver.
 
     Attributes:
         origin: features and solver in words, as in ``Candidate.origin``.
@@ -64,10 +65,10 @@ class Proposal(NamedTuple):
 
 
 class StageCounts(NamedTuple):
-    """What each stage of one pair had, (source, target) where there are two numbers.
+    """How much each stage of one pair had, (source, target) where there are two numbers.
 
     Attributes:
-        given: points as they came.
+        given: points of the clouds as given.
         points: points after downsampling.
         described: points with a valid feature, of the first set of features.
         proposals: of every set of features and solver.

@@ -1,4 +1,4 @@
-"""Why a pair has no transform to trust."""
+"""Why a pair was not registered."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KINDS = (
     "colors disagree",
     "free-space conflict",
 )
-"""What a failure can be, in the order of the stages that find it."""
+"""What a failure can be, in the order of the stages that detect it."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Failure:
     Attributes:
         kind: one of ``KINDS``, for programs: what to do next follows from it.
         text: for people, the kind and the figures in one sentence.
-        figures: the numbers behind it by name, such as ``{"matches": 2, "needed": 3}``; lengths in meters.
+        figures: the numbers that decided it by name, such as ``{"matches": 2, "needed": 3}``; lengths in meters.
 
     Raises:
         ValueError: an unknown kind.

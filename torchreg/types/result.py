@@ -1,10 +1,10 @@
-"""What a registration found, and how."""
+"""The result of a registration."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,7 +22,7 @@ class HypothesisCounts(NamedTuple):
     Attributes:
         drawn: minimal samples drawn.
         kept: samples that passed the edge-length test.
-        scored: hypotheses whose own sample fits within the threshold, scored on all correspondences.
+        scored: hypotheses that bring their sample within the threshold, scored on all correspondences.
     """
 
     drawn: Tensor
@@ -47,15 +47,15 @@ class RegistrationResult:
     Attributes:
         T_target_source: (B, 4, 4) float64, rigid: x_target = R x_source + t in meters, in the frames of the
             files (origins included). The identity stands only beside ``success`` = False.
-        inliers: (M,) bool over ``correspondences``.
+        inliers: (M,) bool, which of ``correspondences`` the transform brings within the inlier threshold.
         fitness: (B,) float64, share of source points with a target point nearer than the inlier threshold
             under the transform; as Open3D's ``evaluate_registration``.
         inlier_rmse: (B,) float64, meters, over those points; as Open3D.
         success: (B,) bool.
-        failure: of every pair why it did not succeed, ``None`` where it did; ``reason`` is its text.
+        failure: why a pair did not succeed, ``None`` where it did, one per pair; ``reason`` is its text.
         hypotheses: counts of every pair.
-        source: B clouds, those that were matched: what was handed to a solver, in ``register`` the thinned clouds
-            with their normals.
+        source: B clouds, those that were matched: as a solver got them, in ``register`` the thinned clouds with
+            their normals.
         target: B clouds, likewise.
         correspondences: the matches that ``inliers`` speaks of; their rows are those of ``source`` and ``target``.
         options: the ``RegistrationOptions`` of every pair, derived numbers included; empty when made by a solver alone.
@@ -73,7 +73,7 @@ class RegistrationResult:
             overlap. Near 0 the pose slides along a plane, an axis or turns about one.
         runner_up: (B, 4, 4) float64, the best distinct other pose; NaN where there is none.
         margin: (B,) float64, log-odds of the pose less those of the runner-up; infinite where there is none.
-        candidates: of every pair, what was weighed, best first.
+        candidates: of every pair, the poses that were weighed, best first.
         stages: of every pair, what each stage had.
     """
 
@@ -98,6 +98,9 @@ class RegistrationResult:
     margin: Tensor | None = None
     candidates: tuple[tuple[Candidate, ...], ...] = ()
     stages: tuple[StageCounts, ...] = ()
+
+    explainer: ClassVar[Callable[[RegistrationResult, int], str]]
+    """What ``explain`` calls. Types hold no words for people: ``torchreg`` puts those of its report here."""
 
     def __post_init__(self) -> None:
         expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4))
@@ -134,18 +137,9 @@ class RegistrationResult:
         return tuple("" if failure is None else failure.text for failure in self.failure)
 
     def explain(self, pair: int = 0) -> str:
-        """What each stage of one pair had and lost, in words, and what is most likely to help.
+        """Put in words how much each stage of one pair had and lost, and what is most likely to help.
 
         Raises:
             ValueError: ``pair`` is not one of the result's.
         """
-        return _words[0](self, pair)
-
-
-_words: list[Callable[[RegistrationResult, int], str]] = []
-
-
-def explained_by(words: Callable[[RegistrationResult, int], str]) -> Callable[[RegistrationResult, int], str]:
-    """Let ``RegistrationResult.explain`` answer with this function: types hold no words for people, reports do."""
-    _words[:] = [words]
-    return words
+        return type(self).explainer(self, pair)

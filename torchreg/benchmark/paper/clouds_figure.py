@@ -17,8 +17,8 @@ from torch import Tensor
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.rows import Row
 from torchreg.geometry.se3 import apply, inverse
-from torchreg.report.panels import SOURCE_COLOR, TARGET_COLOR
-from torchreg.report.thinning import box
+from torchreg.report.figures import SOURCE_COLOR, TARGET_COLOR
+from torchreg.report.scene import box
 from torchreg.report.views import VIEWS, slice_of
 from torchreg.types import Clouds
 

@@ -1,1 +1,1 @@
-"""The parts of a result in words: its figures as plain numbers, a line per stage, the verdict, and advice."""
+"""A result in words: its figures as plain numbers, a line per stage, the verdict, and advice."""

@@ -1,7 +1,7 @@
-"""Which settings are most likely to help, each from a figure of the run.
+"""Settings that are most likely to help, each chosen by a figure of the run.
 
-A rule looks at one figure and either says what it would change, naming the figure, or says nothing. The reason of a
-failure decides which rules are asked first.
+A rule reads one figure and returns what it would change, naming the figure, or an empty text. The kind of the failure
+decides which rules come first.
 """
 
 from __future__ import annotations
@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from torchreg.registration.options import RegistrationOptions
-from torchreg.report.explain.facts import Facts
-from torchreg.report.explain.verdict import FIRM
-from torchreg.report.explain.words import chance, meters, number, odds, part, percent
+from torchreg.report.explain.facts import FIRM, Facts
+from torchreg.report.text import chance, decimal, meters, odds, percent, portion
 
 _MOST = 2
 _LIKELY = 0.9
@@ -25,27 +24,26 @@ _MUCH_CONFLICT, _POOR_NORMALS, _POOR_COLORS = 0.1, 0.6, 0.2
 
 
 def advice(facts: Facts) -> list[str]:
-    """At most two pieces of advice, the likeliest to help first; none where the pair is registered and likely so."""
+    """At most two pieces of advice, the likeliest to help first; where there is none, one sentence on why."""
     if facts.success and (facts.probability is None or facts.probability >= _LIKELY):
-        return []
-    known = facts.success or facts.kind in _FIRST
-    rules = dict.fromkeys((*_FIRST.get(facts.kind, ()), *_ANY)) if known else {_points: None}
-    return [said for rule in rules if (said := rule(facts))][:_MOST]
-
-
-def settled(facts: Facts) -> str:
-    """What to say where there is no advice."""
-    if not facts.success:
-        return "no figure above points to one setting" if facts.kind in _FIRST else "other clouds: the reason says why"
-    if facts.probability is None:
-        return 'nothing in the matches; an effort other than "plain" weighs the pose against the clouds as well'
-    return f"nothing needs to change (probability {chance(facts.probability)})"
+        if facts.probability is None:
+            return ['nothing in the matches; an effort other than "plain" weighs the pose against the clouds as well']
+        return [f"nothing needs to change (probability {chance(facts.probability)})"]
+    kind = "" if facts.failure is None else facts.failure.kind
+    in_clouds = kind in CLOUD_RULES
+    rules = CLOUD_RULES[kind] if in_clouds else tuple(dict.fromkeys((*FIRST_RULES.get(kind, ()), *_GENERAL_RULES)))
+    texts = [text for rule in rules if (text := rule(facts))][:_MOST]
+    nothing = "other clouds: the reason says why" if in_clouds else "no figure above points to one setting"
+    return texts or [nothing]
 
 
 def _points(facts: Facts) -> str:
-    if facts.stages is None or min(facts.stages.points) >= _FEW_POINTS:
+    if facts.stages is None:
         return ""
-    left, given = min(facts.stages.points), min(facts.stages.given)
+    given = min(facts.stages.given)
+    left = min(facts.stages.points) or given  # a pair refused for its clouds was not downsampled, and has none left
+    if left >= _FEW_POINTS:
+        return ""
     if facts.options is not None and facts.options.voxel_size is not None and given > 2 * left:
         return f"a smaller voxel_size (now {meters(facts.options.voxel_size)}): it leaves only {left:,} points"
     return f"denser clouds: one has only {left:,} points"
@@ -70,7 +68,7 @@ def _features(facts: Facts) -> str:
     if count >= _FEW_FEATURES * whole:
         return ""
     now = meters(facts.options.feature_radius)
-    return f"a larger feature_radius (now {now}): only {part(count, whole)} points have a feature"
+    return f"a larger feature_radius (now {now}): only {portion(count, whole)} points have a feature"
 
 
 def _matches(facts: Facts) -> str:
@@ -99,7 +97,7 @@ def _hypotheses(facts: Facts) -> str:
 def _inliers(facts: Facts) -> str:
     if facts.matches == 0 or facts.inliers >= _FEW_INLIERS * facts.matches or facts.options is None:
         return ""
-    agree = f"only {part(facts.inliers, facts.matches)} matches agree"
+    agree = f"only {portion(facts.inliers, facts.matches)} matches agree"
     if facts.options.effort == "thorough":
         radius = meters(facts.options.feature_radius)
         return f"a larger feature_radius (now {radius}), for features that tell more places apart: {agree}"
@@ -107,17 +105,17 @@ def _inliers(facts: Facts) -> str:
 
 
 def _colors(facts: Facts) -> str:
-    note = next((note for note in facts.notes if note.startswith("no colors")), "")
-    if note:
-        return f"clouds with colors, which tell places of the same shape apart ({note.partition(':')[0]})"
-    if facts.options is not None and not facts.options.color:
-        return 'color features, color=("contrast", "pcfh"): geometry alone was matched'
-    return ""
+    if facts.options is None or (facts.colored and facts.options.color):
+        return ""
+    if not facts.colored:
+        return "clouds with colors, which tell places of the same shape apart: geometry alone was matched"
+    return 'color features, color=("contrast", "pcfh"): geometry alone was matched'
 
 
 def _viewpoint(facts: Facts) -> str:
-    note = next((note for note in facts.notes if note.startswith("no viewpoint")), "")
-    return f"the place of the scanner, as viewpoint: {note.partition(':')[0]}" if note else ""
+    if facts.options is None or not facts.unknown_viewpoints:
+        return ""
+    return f"the place of the scanner, as viewpoint: no viewpoint for the {' and the '.join(facts.unknown_viewpoints)}"
 
 
 def _context(facts: Facts) -> str:
@@ -139,14 +137,14 @@ def _overlap(facts: Facts) -> str:
 def _strength(facts: Facts) -> str:
     if facts.strength is None or facts.strength >= FIRM:
         return ""
-    return f"larger scans, with surfaces across the one along which the pose slides: strength {number(facts.strength)}"
+    return f"larger scans, with surfaces across the one along which the pose slides: strength {decimal(facts.strength)}"
 
 
 def _conflict(facts: Facts) -> str:
     share = facts.candidates[0].conflict if facts.candidates else 0.0
     if not share > _MUCH_CONFLICT:
         return ""
-    return f"a look at the viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
+    return f"correct viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
 
 
 def _normals(facts: Facts) -> str:
@@ -154,22 +152,27 @@ def _normals(facts: Facts) -> str:
     if facts.options is None or not cosine < _POOR_NORMALS:
         return ""
     now = meters(facts.options.normal_radius)
-    return f"a larger normal_radius (now {now}): the normals of partners agree by {number(cosine)} only"
+    return f"a larger normal_radius (now {now}): the normals of partners agree by {decimal(cosine)} only"
 
 
 def _light(facts: Facts) -> str:
     correlation = facts.candidates[0].colors if facts.candidates else 1.0
     if not correlation < _POOR_COLORS:
         return ""
-    return f"color=() where light or cameras differ: the colors of partners correlate by {number(correlation)} only"
+    return f"color=() where light or cameras differ: the colors of partners correlate by {decimal(correlation)} only"
 
 
 _Rule = Callable[[Facts], str]
-_ANY: tuple[_Rule, ...] = (
-    *(_points, _threshold, _features, _matches, _hypotheses),
-    *(_overlap, _context, _colors, _viewpoint, _strength, _inliers),
-)
-_FIRST: dict[str, tuple[_Rule, ...]] = {
+
+CLOUD_RULES: dict[str, tuple[_Rule, ...]] = {
+    "too few points": (_points,),
+    "not finite": (),
+    "too wide": (),
+    "degenerate": (),
+}
+"""By kind of failure, for clouds that cannot be registered with any setting; no other rule is asked then."""
+
+FIRST_RULES: dict[str, tuple[_Rule, ...]] = {
     "too few matches": (_features, _matches),
     "no hypothesis": (_hypotheses, _matches),
     "no consensus": (_threshold, _features, _matches, _inliers),
@@ -180,3 +183,9 @@ _FIRST: dict[str, tuple[_Rule, ...]] = {
     "surfaces disagree": (_normals, _threshold, _viewpoint),
     "colors disagree": (_light,),
 }
+"""By kind of failure, the rules that come before the general ones."""
+
+_GENERAL_RULES: tuple[_Rule, ...] = (
+    *(_points, _threshold, _features, _matches, _hypotheses),
+    *(_overlap, _context, _colors, _viewpoint, _strength, _inliers),
+)

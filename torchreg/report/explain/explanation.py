@@ -1,22 +1,26 @@
-"""A result in words."""
+"""A result in words: a line per stage, the candidates, the pose and its verdict, and what may help."""
 
 from __future__ import annotations
 
-from torchreg.report.explain.advice import advice, settled
-from torchreg.report.explain.facts import facts_of
-from torchreg.report.explain.stages import candidate_lines, stage_lines
-from torchreg.report.explain.verdict import pose_lines, verdict_line
-from torchreg.report.explain.words import line
-from torchreg.types.result import RegistrationResult, explained_by
+import math
+from collections.abc import Iterator
+
+from torchreg.registration.options import RegistrationOptions
+from torchreg.report.explain.advice import advice
+from torchreg.report.explain.facts import FIRM, WEAK, Facts, facts_of
+from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, portion
+from torchreg.types import Candidate, RegistrationResult, StageCounts
+
+_SHOWN = 6
+_HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
 
 
-@explained_by
 def explanation(result: RegistrationResult, pair: int) -> str:
-    """What each stage of one pair had and lost, and the settings most likely to help.
+    """Describe how much each stage of one pair had and lost, and the settings most likely to help.
 
     A line per stage in the order of the run, a table of the candidates, then the pose, its runner-up, overlap,
     strength and fit, the verdict, and advice that each time names the figure it follows from. A result made by a
-    solver alone is explained with what it has.
+    solver alone is explained by the fields it has.
 
     Args:
         result: of B pairs.
@@ -29,6 +33,120 @@ def explanation(result: RegistrationResult, pair: int) -> str:
         ValueError: ``pair`` is not one of the result's.
     """
     facts = facts_of(result, pair)
-    lines = stage_lines(facts) + candidate_lines(facts) + pose_lines(facts) + [verdict_line(facts)]
-    said = advice(facts) or [settled(facts)]
-    return "\n".join(lines + [line("May help" if place == 0 else "", text) for place, text in enumerate(said)])
+    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), _verdict(facts)]
+    return "\n".join(lines + [line("May help" if place == 0 else "", text) for place, text in enumerate(advice(facts))])
+
+
+def runner_up_text(facts: Facts) -> str:
+    """How far away the best other pose is, and by how much the pose leads it."""
+    if facts.apart is None:
+        return "none: no other distinct pose was weighed"
+    degrees, distance = facts.apart
+    text = f"turned by {degrees:.3g} degrees, the middle of the overlap moved by {meters(distance)}"
+    if facts.margin is None or not math.isfinite(facts.margin):
+        return text
+    return f"{text}; log-odds {decimal(facts.margin, 1)} lower ({odds(facts.margin)})"
+
+
+def meaning_of_strength(strength: float) -> str:
+    """How firmly the surfaces hold a pose of this strength."""
+    if strength < WEAK:
+        return "in some direction the surfaces hardly hold the pose, it can slide or turn there"
+    if strength < FIRM:
+        return "in some direction the surfaces hold the pose weakly"
+    return "the surfaces hold the pose in every direction"
+
+
+def _stages(facts: Facts) -> Iterator[str]:
+    """Points, features, every set of features with its solver, and notes."""
+    if facts.stages is not None:
+        yield from _points(facts.stages, facts.options)
+    if facts.stages is not None and facts.stages.proposals:
+        for proposal in facts.stages.proposals:
+            poses = f"{proposal.poses:,} {'pose' if proposal.poses == 1 else 'poses'}"
+            agree = percent(proposal.support / max(proposal.matches, 1))
+            best = f", the best with {proposal.support:,} inliers ({agree})" if proposal.poses else ""
+            hypotheses = f"{proposal.drawn:,} hypotheses, {proposal.kept:,} kept, {proposal.scored:,} scored"
+            yield line("Proposal", proposal.origin)
+            yield line("", f"{proposal.matches:,} matches; {hypotheses}; {poses}{best}")
+    else:
+        drawn = f"{facts.drawn:,} drawn, {facts.kept:,} kept by the first test, {facts.scored:,} scored on all matches"
+        within = "" if facts.threshold is None else f" within {meters(facts.threshold)}"
+        yield line("Matches", f"{facts.matches:,}")
+        yield line("Hypotheses", drawn)
+        yield line("Inliers", f"{portion(facts.inliers, facts.matches)} matches{within}")
+    for note in facts.notes:
+        yield line("Note", note)
+
+
+def _points(stages: StageCounts, options: RegistrationOptions | None) -> Iterator[str]:
+    (source, target), (few_source, few_target) = stages.given, stages.points
+    given = f"{source:,} (source) and {target:,} (target) given"
+    if options is not None and options.voxel_size is not None:
+        given += f", {few_source:,} and {few_target:,} left by voxels of {meters(options.voxel_size)}"
+    elif stages.points != stages.given:
+        given += f", {few_source:,} and {few_target:,} used"
+    else:
+        given += ", used as they are"
+    pairs = zip(stages.described, stages.points, strict=True)
+    described = " and ".join(portion(count, whole) for count, whole in pairs)
+    radius = "" if options is None else f", from {meters(options.feature_radius)} about each"
+    yield line("Points", given)
+    yield line("Features", f"{described} have one{radius}")
+
+
+def _candidates(facts: Facts) -> Iterator[str]:
+    """The best candidates as a table; nothing where none was weighed."""
+    if not facts.candidates:
+        return
+    rest = len(facts.candidates) - _SHOWN
+    extent = f"the best {_SHOWN} of {len(facts.candidates)}" if rest > 0 else "all of them"
+    yield line("Candidates", f"best first; {extent}")
+    rows = [_HEADINGS, *(_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
+    yield from (f"  {row}" for row in columns(rows))
+
+
+def _cells(candidate: Candidate) -> tuple[str, ...]:
+    return (
+        candidate.origin,
+        f"{candidate.support:,} of {candidate.matches:,}" if candidate.matches else "-",
+        _by_chance(candidate.surprise),
+        decimal(candidate.overlap),
+        decimal(candidate.normals),
+        decimal(candidate.colors),
+        decimal(candidate.conflict),
+        decimal(candidate.log_odds, 1),
+        chance(candidate.probability),
+    )
+
+
+def _by_chance(surprise: float) -> str:
+    """How likely unrelated matches agree as well, as a power of ten."""
+    if math.isnan(surprise):
+        return "-"
+    return f"10^-{surprise:.0f}" if surprise >= 0.5 else "1"
+
+
+def _pose(facts: Facts) -> Iterator[str]:
+    """Pose, runner-up, overlap, strength and fit: a line for each that is known."""
+    within = "the inlier threshold" if facts.threshold is None else meters(facts.threshold)
+    if facts.candidates:
+        chosen = "from" if facts.success else "none accepted; the likeliest is from"
+        yield line("Pose", f"{chosen} {facts.candidates[0].origin}")
+    if facts.margin is not None or facts.apart is not None:
+        yield line("Runner-up", runner_up_text(facts))
+    if facts.overlap is not None:
+        yield line("Overlap", f"{percent(facts.overlap)} of the points have a partner within {within}")
+    if facts.strength is not None:
+        yield line("Strength", f"{decimal(facts.strength)} of 1: {meaning_of_strength(facts.strength)}")
+    if facts.fitness > 0:
+        near = f"fitness {decimal(facts.fitness)} (source points with a target point within {within})"
+        yield line("Fit", f"{near}, inlier_rmse {meters(facts.inlier_rmse)}")
+
+
+def _verdict(facts: Facts) -> str:
+    """Registered or not, how likely that is right, and why not."""
+    verdict = "registered" if facts.success else "not registered"
+    if facts.probability is not None:
+        verdict += f", probability {chance(facts.probability)} that the pose is right"
+    return line("Verdict", verdict + ("" if facts.success or facts.failure is None else f"; {facts.failure}"))

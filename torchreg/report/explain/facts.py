@@ -9,20 +9,25 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.registration.options import RegistrationOptions
-from torchreg.types import Candidate, Failure, RegistrationResult, StageCounts
+from torchreg.types import Candidate, Clouds, Failure, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
+
+WEAK, FIRM = 0.03, 0.1
+"""Strengths: below the one a pose hardly holds in some direction, above the other in all (of real pairs, 0.14 up)."""
 
 
 class Facts(NamedTuple):
-    """One pair; ``None`` where the result does not say, or no pose was found that it could speak of.
+    """One pair in plain numbers; ``None`` for a figure that was not computed, or of a pose where there is none.
 
     Attributes:
         success: the verdict.
         failure: why not, ``None`` beside success.
         notes: on the pair.
+        colored: whether both clouds that were matched have colors.
+        unknown_viewpoints: which of "source" and "target" have none.
         options: that it was run with.
         stages: what each stage had.
-        matches: correspondences that ``inliers`` speaks of.
+        matches: correspondences.
         inliers: of these.
         drawn: hypotheses.
         kept: of these, by the first test.
@@ -40,6 +45,8 @@ class Facts(NamedTuple):
     success: bool
     failure: Failure | None
     notes: tuple[str, ...]
+    colored: bool
+    unknown_viewpoints: tuple[str, ...]
     options: RegistrationOptions | None
     stages: StageCounts | None
     matches: int
@@ -57,11 +64,6 @@ class Facts(NamedTuple):
     candidates: tuple[Candidate, ...]
 
     @property
-    def kind(self) -> str:
-        """Of the failure; empty beside success."""
-        return "" if self.failure is None else self.failure.kind
-
-    @property
     def threshold(self) -> float | None:
         """The inlier threshold, meters."""
         return None if self.options is None else self.options.ransac.inlier_threshold
@@ -75,32 +77,39 @@ def facts_of(result: RegistrationResult, pair: int) -> Facts:
     """
     expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
     begin, end = spans(result.correspondences.offsets)[pair]
-    counts = [int(value[pair]) for value in result.hypotheses]
+    drawn, kept, scored = (int(value[pair]) for value in result.hypotheses)
+    sides = {"source": result.source, "target": result.target}
     candidates = result.candidates[pair] if result.candidates else ()
     posed = not result.candidates or len(candidates) > 0
     return Facts(
         success=bool(result.success[pair]),
         failure=result.failure[pair],
         notes=result.notes[pair] if result.notes else (),
+        colored=all(clouds.colors is not None for clouds in sides.values()),
+        unknown_viewpoints=tuple(name for name, clouds in sides.items() if not _has_viewpoint(clouds, pair)),
         options=result.options[pair] if result.options else None,
         stages=result.stages[pair] if result.stages else None,
         matches=end - begin,
         inliers=int(result.inliers[begin:end].sum()),
-        drawn=counts[0],
-        kept=counts[1],
-        scored=counts[2],
+        drawn=drawn,
+        kept=kept,
+        scored=scored,
         fitness=float(result.fitness[pair]),
         inlier_rmse=float(result.inlier_rmse[pair]),
-        probability=_stated(result.probability, pair),
-        overlap=_stated(result.overlap, pair) if posed else None,
-        strength=_stated(result.strength, pair) if posed else None,
-        margin=_stated(result.margin, pair) if posed else None,
+        probability=_known(result.probability, pair),
+        overlap=_known(result.overlap, pair) if posed else None,
+        strength=_known(result.strength, pair) if posed else None,
+        margin=_known(result.margin, pair) if posed else None,
         apart=_apart(result, pair, candidates) if posed else None,
         candidates=candidates,
     )
 
 
-def _stated(values: Tensor | None, pair: int) -> float | None:
+def _has_viewpoint(clouds: Clouds, pair: int) -> bool:
+    return clouds.viewpoint is not None and bool(clouds.viewpoint[pair].isfinite().all())
+
+
+def _known(values: Tensor | None, pair: int) -> float | None:
     value = math.nan if values is None else float(values[pair])
     return None if math.isnan(value) else value
 
@@ -108,8 +117,8 @@ def _stated(values: Tensor | None, pair: int) -> float | None:
 def _apart(result: RegistrationResult, pair: int, candidates: tuple[Candidate, ...]) -> tuple[float, float] | None:
     """Degrees between the pose and its runner-up, and meters by which they part the middle of the overlap.
 
-    The middle is that of the target points with a partner, which the information matrix holds; translations
-    alone would say nothing of clouds far from their zero. A failed pair's pose is its best candidate.
+    The middle is that of the target points with a partner, which the information matrix holds; the difference of the
+    translations would depend on how far the clouds lie from their zero. A failed pair's pose is its best candidate.
     """
     if result.runner_up is None or not (bool(result.success[pair]) or candidates):
         return None

@@ -1,19 +1,23 @@
-"""A grid of panels: a row for every side, a column for every state of the source."""
+"""Pictures of a registration: the clouds before and after, from three sides, told apart and in true colors.
+
+A grid of panels: a row for every side, a column for every state of the source.
+"""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
-from torchreg.report.axes import AXES, axis_label, note
-from torchreg.report.scene import Scene
+from torchreg.errors import at_least, expect
+from torchreg.report.canvas import annotate, blank_figure
+from torchreg.report.scene import Scene, box, padded, scene_of, union
 from torchreg.report.text import legible
-from torchreg.report.thinning import box
-from torchreg.report.views import VIEWS, View, slice_of
+from torchreg.report.views import AXES, VIEWS, View, axis_label, slice_of
+from torchreg.types import Clouds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
 SOURCE_COLOR, TARGET_COLOR = "#d55e00", "#0072b2"
 """Vermilion and blue, which color-blind people tell apart (Okabe and Ito, Color Universal Design, 2008)."""
 
+_RESERVE = 4  # times the points of a panel, since a slice takes a part of them
 _WIDTH = 4.4  # inches of a column
 _MARGIN = 0.04
 
@@ -34,7 +39,91 @@ class Column(NamedTuple):
     in_color: bool = False
 
 
-def draw_panels(
+def registration_figure(
+    source: Clouds,
+    target: Clouds,
+    T_target_source: Tensor | None,
+    *,
+    title: str = "",
+    max_points: int = 20_000,
+) -> Figure:
+    """Draw two clouds before and after: a column each, from the top, the front and the side.
+
+    Orthographic, to scale, axes in meters in the target's frame. A closed room is cut open: its slice shows
+    walls as lines, which lie on each other where the registration is right. The third column is the second in
+    true colors, where both clouds have them. The same clouds give the same picture.
+
+    Args:
+        source: one cloud.
+        target: one cloud.
+        T_target_source: (4, 4), origins included; ``None`` draws the column before alone, for a registration
+            that failed.
+        title: above all.
+        max_points: of each cloud in one panel.
+
+    Returns:
+        A matplotlib ``Figure`` on the Agg canvas, made without pyplot.
+
+    Raises:
+        ValueError: several clouds, another shape of transform, or ``max_points`` below 1.
+
+    Example:
+        >>> import torch
+        >>> cloud = Clouds(torch.rand(100, 3))
+        >>> len(registration_figure(cloud, cloud, torch.eye(4)).axes)
+        6
+    """
+    scene = scene_of(source, target, _RESERVE * at_least(max_points, "max_points", 1))
+    columns = [_before(scene)]
+    if T_target_source is not None:
+        columns.append(Column("after", scene.moved(T_target_source)))
+        columns += _true_colors(scene, columns[-1])
+    return _draw_panels(scene, columns, columns[-1].source, title=title, max_points=max_points)
+
+
+def demo_figure(
+    source: Clouds,
+    target: Clouds,
+    transforms: Sequence[tuple[str, Tensor]],
+    *,
+    title: str = "",
+    max_points: int = 20_000,
+) -> Figure:
+    """Draw the transforms of several methods for one pair side by side, after a column before.
+
+    Args:
+        source: one cloud.
+        target: one cloud.
+        transforms: heading and transform (4, 4) of every method; the last one is drawn in true colors too and
+            decides where rooms are cut open.
+        title: above all.
+        max_points: of each cloud in one panel.
+
+    Returns:
+        A matplotlib ``Figure`` as ``registration_figure`` makes it.
+
+    Raises:
+        ValueError: as there, or no transform.
+    """
+    expect(len(transforms) > 0, "transforms", "at least one method", transforms)
+    scene = scene_of(source, target, _RESERVE * at_least(max_points, "max_points", 1))
+    after = [Column(heading, scene.moved(T)) for heading, T in transforms]
+    columns = [_before(scene), *after, *_true_colors(scene, after[-1])]
+    return _draw_panels(scene, columns, after[-1].source, title=title, max_points=max_points)
+
+
+def _before(scene: Scene) -> Column:
+    source, distance = scene.unmoved()
+    return Column(f"before (drawn together: {distance:,.0f} m apart)" if distance else "before", source)
+
+
+def _true_colors(scene: Scene, column: Column) -> list[Column]:
+    """The same state once more in the colors of the clouds, where both have them."""
+    in_color = Column(f"{column.heading}, in true colors", column.source, in_color=True)
+    return [] if scene.colors is None else [in_color]
+
+
+def _draw_panels(
     scene: Scene, columns: Sequence[Column], reference: NDArray[Any], *, title: str, max_points: int
 ) -> Figure:
     """Draw every column from three sides, all panels of a row to the same scale.
@@ -47,16 +136,12 @@ def draw_panels(
         title: above all.
         max_points: of each cloud in one panel.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     shown = np.concatenate((reference, scene.target))  # (N + M, 3)
-    least = _padded(*box(shown))
-    heights = [_WIDTH * float(np.clip(_aspect(view, *least), 0.25, 1.0)) for view in VIEWS]
+    least = padded(box(shown), _MARGIN)
+    extent = least[1] - least[0]
+    heights = [_WIDTH * float(np.clip(extent[view.up] / extent[view.right], 0.25, 1.0)) for view in VIEWS]
     size = (_WIDTH * len(columns), sum(heights) + 1.9)
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(textwrap.fill(legible(title), 40 * len(columns)), fontsize=13, parse_math=False)
+    figure = blank_figure(size, title, fontsize=13, columns=40 * len(columns))
     axes = figure.subplots(len(VIEWS), len(columns), height_ratios=heights, squeeze=False)
     for view, height, row in zip(VIEWS, heights, axes, strict=True):
         plane, ratio = [view.right, view.up], height / _WIDTH
@@ -65,13 +150,14 @@ def draw_panels(
             points = np.concatenate((column.source, scene.target))
             keep = _kept(shown, view, cut, column.in_color)
             _scatter(ax, scene, points, keep, view, max_points, column.in_color)
-            low, high = _union(least, _padded(*box(points)))
+            low, high = union(least, padded(box(points), _MARGIN))
             _set_limits(ax, low[plane], high[plane], ratio)
             ax.tick_params(labelsize=8)
             ax.set_xlabel(axis_label(scene, view.right), fontsize=8)
         row[0].set_ylabel(f"{view.name} view, along {AXES[view.depth]}\n{axis_label(scene, view.up)}", fontsize=9)
         if cut is not None:
-            note(row[0], f"slice: {AXES[view.depth]} from {cut[0]:.3g} to {cut[1]:.3g} m in the target's frame")
+            text = f"slice: {AXES[view.depth]} from {cut[0]:.3g} to {cut[1]:.3g} m in the target's frame"
+            annotate(row[0], text, (0.01, 0.02), xycoords="axes fraction", fontsize=7, color="0.3")
     for column, ax in zip(columns, axes[0], strict=True):
         ax.set_title(legible(column.heading), fontsize=11, parse_math=False)
     _legend(figure, scene)
@@ -84,8 +170,7 @@ def _scatter(
     """The kept points: of each cloud the first ``max_points``; mixed, so that neither cloud hides the other."""
     split = len(scene.source)
     count = 2 * max_points if in_color else max_points
-    own, other = np.flatnonzero(keep[:split])[:count], split + np.flatnonzero(keep[split:])[:count]
-    rows = np.concatenate((own, other))
+    rows = np.concatenate((np.flatnonzero(keep[:split])[:count], split + np.flatnonzero(keep[split:])[:count]))
     if in_color and scene.colors is not None:
         rows = rows[np.argsort(view.toward * points[rows, view.depth], kind="stable")]  # far before near
         color: Any = scene.colors[rows]
@@ -105,22 +190,6 @@ def _kept(points: NDArray[Any], view: View, cut: tuple[float, float] | None, in_
     if in_color:
         return np.asarray(depth <= cut[1] if view.toward > 0 else depth >= cut[0])
     return np.asarray((depth >= cut[0]) & (depth <= cut[1]))
-
-
-def _padded(low: NDArray[Any], high: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    pad = max(float((high - low).max()) * _MARGIN, 1e-6)
-    return low - pad, high + pad
-
-
-def _union(
-    one: tuple[NDArray[Any], NDArray[Any]], other: tuple[NDArray[Any], NDArray[Any]]
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    return np.minimum(one[0], other[0]), np.maximum(one[1], other[1])
-
-
-def _aspect(view: View, low: NDArray[Any], high: NDArray[Any]) -> float:
-    size = high - low
-    return float(size[view.up] / size[view.right])
 
 
 def _set_limits(ax: Axes, low: NDArray[Any], high: NDArray[Any], ratio: float) -> None:

@@ -1,4 +1,4 @@
-"""What several methods found on one pair with known truth: a table, and one sentence."""
+"""Several methods on one pair with known truth: a table, and one sentence."""
 
 from __future__ import annotations
 
@@ -20,19 +20,17 @@ class DemoRow:
     Attributes:
         method: its name.
         points: of source and target that it worked on.
-        inlier_ratio: share of its matches that the truth brings nearer than ``threshold``.
-        threshold: meters.
+        inlier_ratio: share of its matches that are inliers under the truth.
         errors: of its transform under the truth.
         seconds: that it took.
-        success: what it says of itself.
-        right: what the truth says.
-        T_target_source: (4, 4) what it found.
+        success: its own verdict.
+        right: whether it succeeded, and its transform is the true one.
+        T_target_source: (4, 4), its transform.
     """
 
     method: str
     points: tuple[int, int]
     inlier_ratio: float
-    threshold: float
     errors: PoseErrors
     seconds: float
     success: bool
@@ -62,7 +60,7 @@ def demo_table(rows: Sequence[DemoRow]) -> Table:
 
 
 def demo_sentence(plain: DemoRow, fused: DemoRow) -> str:
-    """One sentence on what is seen of one hall, by the plain procedure without color and by the default.
+    """One sentence that compares the plain procedure without color and the default on one hall.
 
     Args:
         plain: geometry alone, the best of its matches' poses.

@@ -1,0 +1,56 @@
+"""Blank figures, annotations, and figures as files."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torchreg.errors import expect
+from torchreg.io.atomic import atomic_write
+from torchreg.report.text import legible
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
+"""The kinds of files that ``save_figure`` writes."""
+
+
+def blank_figure(size: tuple[float, float], title: str, *, fontsize: float, columns: int) -> Figure:
+    """An empty figure of this size (inches) on the Agg canvas, made without pyplot; its title wraps after ``columns``.
+
+    matplotlib is imported here, when the first picture is drawn.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(textwrap.fill(legible(title), columns), fontsize=fontsize, parse_math=False)
+    return figure
+
+
+def annotate(ax: Axes, text: str, place: tuple[float, float], **style: Any) -> None:  # noqa: ANN401
+    """Write on a panel, on white so that points do not hide it."""
+    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
+    ax.annotate(text, place, bbox=paper, **style)
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 130) -> None:
+    """Write a figure as PNG, PDF or SVG, in full or not at all.
+
+    Args:
+        figure: a matplotlib figure.
+        path: a name that ends in ``.png``, ``.pdf`` or ``.svg``, in a folder that exists.
+        dpi: pixels per inch; in PDF and SVG of the points alone, which are drawn as an image.
+
+    Raises:
+        ValueError: another suffix, or no such folder.
+    """
+    suffix = Path(path).suffix.lower()
+    expect(suffix in FIGURE_SUFFIXES, "path", "a name that ends in " + ", ".join(FIGURE_SUFFIXES), os.fspath(path))
+    with atomic_write(path) as file:
+        figure.savefig(file, format=suffix[1:], dpi=dpi)

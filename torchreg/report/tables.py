@@ -1,0 +1,166 @@
+"""Tables for a terminal: a registration, a cloud file, the summary of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from rich.table import Table
+from rich.text import Text
+from torch import Tensor
+
+from torchreg.batch.summary import Summary
+from torchreg.io import CloudFile
+from torchreg.metrics import PoseErrors
+from torchreg.registration.options import RegistrationOptions
+from torchreg.report.explain.explanation import meaning_of_strength, runner_up_text
+from torchreg.report.explain.facts import Facts, facts_of
+from torchreg.report.text import chance, meters, plain, share
+from torchreg.types import RegistrationResult
+
+
+def registration_table(
+    result: RegistrationResult, pair: int = 0, *, source: str, target: str, truth: PoseErrors | None = None
+) -> Table:
+    """One pair of a result: its clouds, derived numbers, counts, fit, certainty, times, notes and verdict.
+
+    Args:
+        result: of B pairs.
+        pair: which one.
+        source: text that names the source cloud, such as its file and size.
+        target: likewise.
+        truth: errors under the true transform, where it is known.
+    """
+    facts = facts_of(result, pair)
+    table = _table((("source", source), ("target", target)))
+    if facts.options is not None:
+        _add(table, _options_rows(facts.options, colored=facts.colored))
+    _add(table, _registration_rows(facts))
+    if result.seconds:
+        total = sum(seconds for _, seconds in result.seconds)
+        stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds)
+        table.add_row("time", f"{total:.2f} s: {stages}")
+    _add(table, (("note", note) for note in facts.notes))
+    if truth is not None:
+        rre, rte, rmse = truth
+        table.add_row("against the truth", f"RRE {rre:.4g} degrees, RTE {meters(rte)}, RMSE {meters(rmse)}")
+    if facts.success:
+        table.add_row("T_target_source", Text(matrix_text(result.T_target_source[pair]), no_wrap=True))
+        table.add_row("verdict", Text("registered", style="bold green"))
+    else:
+        table.add_row("verdict", Text("not registered: ", style="bold red") + plain(result.reason[pair]))
+    return table
+
+
+def cloud_table(file: CloudFile, spacing: float, options: RegistrationOptions | None, defect: str) -> Table:
+    """A cloud's file, its size and scale, and the options that ``register`` would derive from it.
+
+    Args:
+        file: as ``read_cloud_report`` returns it.
+        spacing: meters between neighboring points.
+        options: derived for a pair of such clouds; ``None`` where nothing can be derived.
+        defect: why the cloud cannot be registered, or an empty text.
+    """
+    dropped = f" ({file.dropped_non_finite:,} with NaN or infinity dropped)" if file.dropped_non_finite else ""
+    table = _table(
+        (
+            ("file", file.path),
+            ("format", file.format),
+            ("points", f"{file.points_in_file:,} in the file{dropped}"),
+            ("extent", " x ".join(f"{edge:.4g}" for edge in file.extent) + " m"),
+            ("origin", ", ".join(f"{value:.9g}" for value in file.cloud.origin[0].tolist()) + " m"),
+            ("colors", f"yes, {file.color_depth}" if file.has_colors else "no"),
+            ("normals", "yes" if file.has_normals else "no"),
+            ("viewpoint", file.viewpoint_source),
+            ("spacing", meters(spacing) + " (median distance to the fourth neighbor)"),
+            *(("note", note) for note in file.notes),
+        )
+    )
+    if options is not None:
+        table.add_row()
+        table.add_row("default options", "for a pair of clouds like this one")
+        _add(table, _options_rows(options, colored=file.has_colors))
+    if defect:
+        table.add_row("cannot be registered", plain(defect))
+    return table
+
+
+def summary_table(summary: Summary) -> Table:
+    """Counts, errors and times of a batch, and the pairs to inspect first."""
+    table = _table(_summary_rows(summary))
+    for place, (name, trouble) in enumerate(summary.worst):
+        table.add_row("worst pairs" if place == 0 else "", plain(f"{name}: {trouble}"))
+    return table
+
+
+def matrix_text(T: Tensor) -> str:
+    """A transform (4, 4) as four lines, to the nanometer; ``write_transform_text`` keeps every digit."""
+    cells = [[f"{value:.9f}" for value in row] for row in T.tolist()]
+    widths = [max(len(row[column]) for row in cells) for column in range(4)]
+    return "\n".join(" ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
+
+
+def _table(rows: Iterable[tuple[str, str]]) -> Table:
+    """Names and values in two columns, without lines; long values are folded, never cut."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    _add(table, rows)
+    return table
+
+
+def _add(table: Table, rows: Iterable[tuple[str, str]]) -> None:
+    for name, value in rows:
+        table.add_row(name, plain(value))
+
+
+def _options_rows(options: RegistrationOptions, *, colored: bool) -> Iterator[tuple[str, str]]:
+    """The options that a user would ask about; without colors the color blocks take no part."""
+    voxel = options.voxel_size
+    yield "voxel size", "none: points as they are" if voxel is None else meters(voxel)
+    yield "normals", f"within {meters(options.normal_radius)}, at most {options.normal_max_neighbors} neighbors"
+    yield "FPFH", f"within {meters(options.feature_radius)}, at most {options.feature_max_neighbors} neighbors"
+    if options.color and colored:
+        blocks = " and ".join(
+            f"{block} (weight {weight:g})" for block, weight in zip(options.color, options.color_weights, strict=True)
+        )
+        yield "color", f"{blocks} within {meters(options.color_radius)}"
+    else:
+        yield "color", "none: geometry alone"
+    yield "inlier threshold", meters(options.ransac.inlier_threshold)
+
+
+def _registration_rows(facts: Facts) -> Iterator[tuple[str, str]]:
+    """Counts and fit; overlap and certainty only where the pose was weighed on the clouds."""
+    yield "matches", f"{facts.matches:,}"
+    yield "hypotheses", f"{facts.drawn:,} drawn, {facts.kept:,} kept by the first test, {facts.scored:,} scored"
+    yield "inliers", share(facts.inliers, facts.matches)
+    yield "fitness", f"{facts.fitness:.4f} of the source points near the target"
+    yield "inlier_rmse", meters(facts.inlier_rmse)
+    if facts.overlap is not None:
+        yield "overlap", f"{facts.overlap:.4f} of the points have a partner"
+    if facts.strength is not None:
+        yield "strength", f"{facts.strength:.3f} of 1: {meaning_of_strength(facts.strength)}"
+    if facts.margin is not None or facts.apart is not None:
+        yield "runner-up", runner_up_text(facts)
+    if facts.probability is not None:
+        yield "probability", f"{chance(facts.probability)} that the pose is right"
+
+
+def _summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
+    yield "pairs", f"{summary.pairs:,} of {summary.clouds:,} clouds"
+    yield "registered", share(summary.registered, summary.pairs)
+    yield "refused", share(summary.refused, summary.pairs)
+    if summary.unreadable:
+        yield "not readable", share(summary.unreadable, summary.pairs)
+    if summary.broken:
+        yield "failed by a defect", share(summary.broken, summary.pairs)
+    if summary.with_truth:
+        yield "recall", f"{share(summary.recalled, summary.with_truth)} of those with a truth"
+        yield "wrong, called right", f"{summary.wrong_registered:,}"
+        yield "right, refused", f"{summary.right_refused:,}"
+    if summary.rre_degrees is not None and summary.rte_meters is not None:
+        yield "median errors", f"RRE {summary.rre_degrees:.3g} degrees, RTE {meters(summary.rte_meters)}"
+    total = sum(summary.seconds.values())
+    if total > 0:
+        stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in summary.seconds.items())
+        yield "work", f"{total:.1f} s over all workers: {stages}"
