@@ -1,7 +1,4 @@
-"""What stands in the hall: kiosks, benches, planters, boards, bins, cartons and people.
-
-Every function draws one piece about its own origin on the floor, meters, z up.
-"""
+"""Furniture of halls, and people: kiosks, benches, planters, boards, bins, cartons."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchreg.synthetic.scene.paint import GOODS, LETTERS, PLANKS, POSTER, STRIPES, paint
-from torchreg.synthetic.scene.palette import from_hsv, neutral, vivid
+from torchreg.synthetic.scene.paint import GOODS, LETTERS, PLANKS, POSTER, STRIPES, from_hsv, neutral, paint, vivid
 from torchreg.synthetic.scene.quads import Quads, balls, boxes, cylinders, rectangles, up
 
 
@@ -93,8 +89,8 @@ def cartons(rng: np.random.Generator) -> Quads:
     center = np.column_stack((0.04 * rng.standard_normal((count, 2)), middle))
     color = np.array([[0.66, 0.5, 0.34]]) if rng.random() < 0.6 else vivid(rng)
     color = rng.uniform(0.85, 1.05, (count, 1)) * color
-    look = paint(rng, color, (0.9, 0.9, 0.9), pattern=LETTERS, scale=0.1)
-    return boxes(center, size, look, yaw=rng.uniform(-0.4, 0.4, count))
+    card = paint(rng, color, (0.9, 0.9, 0.9), pattern=LETTERS, scale=0.1)
+    return boxes(center, size, card, yaw=rng.uniform(-0.4, 0.4, count))
 
 
 def person(rng: np.random.Generator) -> Quads:

@@ -8,9 +8,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.hall import HallPlan
-from torchreg.synthetic.scene.paint import GOODS, LETTERS, PANELS, PLANKS, POSTER, STRIPES, paint
-from torchreg.synthetic.scene.palette import muted, neutral, plain_or_muted, vivid, wares
+from torchreg.synthetic.architecture.hall import HallPlan
+from torchreg.synthetic.scene.paint import (
+    GOODS,
+    LETTERS,
+    PANELS,
+    PLANKS,
+    POSTER,
+    STRIPES,
+    muted,
+    neutral,
+    paint,
+    plain_or_muted,
+    vivid,
+    wares,
+)
 from torchreg.synthetic.scene.quads import Quads, boxes, rectangles
 
 
@@ -107,8 +119,8 @@ def _front(plan: HallPlan, rng: np.random.Generator) -> Quads:
     wall = paint(rng, plan.wall, 0.85 * plan.wall, count=2, pattern=PANELS, scale=1.2)
     ground, letters = (vivid(rng), neutral(rng)) if rng.random() < 0.6 else (neutral(rng), vivid(rng))
     glow = 0.5 if rng.random() < 0.5 else 0.0
-    own = muted(rng) if rng.random() < 0.6 else 0.9 * plan.wall
-    portal = paint(rng, own, 0.85 * own, pattern=PANELS, scale=1.2)
+    tone = muted(rng) if rng.random() < 0.6 else 0.9 * plan.wall
+    portal = paint(rng, tone, 0.85 * tone, pattern=PANELS, scale=1.2)
     board = paint(rng, ground, letters, pattern=LETTERS, scale=0.6 * sign, glow=glow)
     return Quads.join(
         [

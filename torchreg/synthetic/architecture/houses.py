@@ -1,6 +1,6 @@
-"""Buildings of two to four floors: windows set back between piers, balconies, a door under a canopy, a roof.
+"""Houses of two to four floors: windows set back between piers, balconies, a door under a canopy, a roof.
 
-A building is made about the middle of the foot of its front, x along the front, which faces -y, z up.
+A house is made about the middle of the foot of its front, x along the front, which faces -y, z up.
 """
 
 from __future__ import annotations
@@ -10,9 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import BRICKS, LETTERS, PANELS, PLAIN, STRIPES, Paint, paint
-from torchreg.synthetic.scene.palette import from_hsv, muted, neutral, plain_or_muted, vivid
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import (
+    BRICKS,
+    LETTERS,
+    PANELS,
+    PLAIN,
+    STRIPES,
+    Paint,
+    from_hsv,
+    muted,
+    neutral,
+    paint,
+    plain_or_muted,
+    vivid,
+)
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, prism, rectangles
 
 _RECESS = 0.22  # meters that the panes lie behind the front
@@ -45,8 +57,8 @@ class _Front:
         return np.array([(x, 0, height) for height in z for x in self.x])
 
 
-def building(rng: np.random.Generator, length: float, depth: float) -> Quads:
-    """A building of this length along its front and this depth, meters."""
+def house(rng: np.random.Generator, length: float, depth: float) -> Quads:
+    """A house of this length along its front and this depth, meters."""
     floor = rng.uniform(3.0, 3.6)
     columns = int(length / rng.uniform(2.4, 3.6))
     front = _Front(
@@ -57,9 +69,9 @@ def building(rng: np.random.Generator, length: float, depth: float) -> Quads:
         window=(rng.uniform(0.45, 0.72) * length / columns, rng.uniform(0.42, 0.6) * floor),
         sill=rng.uniform(0.7, 1.0),
     )
-    look = _wall_paint(rng)
+    wall = _wall_paint(rng)
     door = int(rng.integers(columns))
-    parts = [_wall(front, look), _body(front, depth, rng), _roof(front, depth, rng)]
+    parts = [_wall(front, wall), _body(front, depth, rng), _roof(front, depth, rng)]
     parts += [_windows(front, rng), _entrance(front.x[door], rng), _pipes(front, rng)]
     if rng.random() < 0.45:
         parts.append(_balconies(front, rng))
@@ -80,7 +92,7 @@ def _wall_paint(rng: np.random.Generator) -> Paint:
     return paint(rng, color, 0.8 * color, pattern=PLAIN if kind < 0.7 else PANELS, scale=1.4)
 
 
-def _wall(front: _Front, look: Paint) -> Quads:
+def _wall(front: _Front, paint: Paint) -> Quads:
     """Bands under and over the windows, and the piers between them."""
     (wide, tall), thick = front.window, _RECESS + 0.1
     low = np.arange(front.floors) * front.floor + front.sill
@@ -94,7 +106,8 @@ def _wall(front: _Front, look: Paint) -> Quads:
     x = x + np.where(outer, -np.sign(x) * pier / 2, 0)
     piers = np.array([(place, thick / 2, z + tall / 2) for z in low for place in x])
     pier_size = np.column_stack((np.tile(pier, len(low)), np.full(len(piers), thick), np.full(len(piers), tall)))
-    return Quads.join([boxes(at, size, _all(look, len(at))) for at, size in ((bands, band_size), (piers, pier_size))])
+    parts = ((bands, band_size), (piers, pier_size))
+    return Quads.join([boxes(at, size, paint.take(np.zeros(len(at), dtype=np.int64))) for at, size in parts])
 
 
 def _windows(front: _Front, rng: np.random.Generator) -> Quads:
@@ -165,7 +178,7 @@ def _pipes(front: _Front, rng: np.random.Generator) -> Quads:
 
 
 def _body(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
-    """The house behind the front, with a few windows in both of its ends."""
+    """The body behind the front, with a few windows in both of its ends."""
     color, inside = plain_or_muted(rng, 0.5), _RECESS + 0.02
     box = boxes(
         (0, inside + (depth - inside) / 2, front.height / 2),
@@ -191,8 +204,3 @@ def _roof(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
         paint(rng, tile, 0.8 * tile, pattern=PANELS, scale=0.35),
     )
     return gable.placed(0, depth / 2, front.height, yaw=math.pi / 2)
-
-
-def _all(look: Paint, count: int) -> Paint:
-    """The first row of a paint for ``count`` surfaces."""
-    return look.take(np.zeros(count, dtype=np.int64))

@@ -1,15 +1,11 @@
-"""Trees and hedges: trunks, boughs, and crowns of clumps of leaves.
-
-Every function draws one plant about its own origin on the ground, meters, z up.
-"""
+"""Trees and hedges: trunks, boughs, and crowns of clumps of leaves."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import PATCHES, paint
-from torchreg.synthetic.scene.palette import from_hsv
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import PATCHES, from_hsv, paint
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles, up
 
 

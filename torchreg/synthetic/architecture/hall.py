@@ -10,9 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import LETTERS, PANELS, PLANKS, POSTER, TILES, paint
-from torchreg.synthetic.scene.palette import muted, neutral, plain_or_muted, vivid
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import (
+    LETTERS,
+    PANELS,
+    PLANKS,
+    POSTER,
+    TILES,
+    muted,
+    neutral,
+    paint,
+    plain_or_muted,
+    vivid,
+)
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles, up
 
 
@@ -71,7 +81,7 @@ class HallPlan:
 
 
 def draw_plan(rng: np.random.Generator) -> HallPlan:
-    """Sizes of a hall as they occur."""
+    """Random sizes of a hall."""
     length, width = rng.uniform(28, 34), rng.uniform(16, 20)
     return HallPlan(
         length=length,
@@ -147,8 +157,8 @@ def columns(plan: HallPlan, rng: np.random.Generator) -> Quads:
         parts = [boxes(at + up(tall / 2), shaft_size, shaft), boxes(at + up(0.075), foot_size, foot)]
     chosen = at[rng.random(len(at)) < 0.35]
     place = chosen - np.sign(chosen) * [0, size / 2 + 0.03, 0] + up(1.6)
-    look = paint(rng, vivid(rng, len(place)), neutral(rng), pattern=POSTER, scale=0.22)
-    return Quads.join([*parts, boxes(place, (0.5, 0.04, 0.9), look)])
+    poster = paint(rng, vivid(rng, len(place)), neutral(rng), pattern=POSTER, scale=0.22)
+    return Quads.join([*parts, boxes(place, (0.5, 0.04, 0.9), poster)])
 
 
 def end_wall(plan: HallPlan, rng: np.random.Generator) -> Quads:

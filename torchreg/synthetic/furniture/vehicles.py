@@ -1,12 +1,11 @@
-"""Parked cars and vans, along x about their own middle on the road, meters, z up."""
+"""Parked cars and vans, their length along x."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import LETTERS, Paint, paint
-from torchreg.synthetic.scene.palette import neutral, vivid
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import LETTERS, Paint, neutral, paint, vivid
 from torchreg.synthetic.scene.quads import Quads, boxes, prism
 
 
