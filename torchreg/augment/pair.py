@@ -12,8 +12,7 @@ from torchreg.augment.augmentation import Augmentation
 from torchreg.augment.streams import SeedStream, derived_seed
 from torchreg.errors import expect
 from torchreg.geometry.se3 import compose, inverse
-from torchreg.types.scan_pair import ScanPair
-from torchreg.types.scan_pair_batch import ScanPairBatch
+from torchreg.types.scan_pair import ScanPair, ScanPairBatch
 
 PairType = TypeVar("PairType", ScanPair, ScanPairBatch)
 
