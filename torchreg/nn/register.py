@@ -12,10 +12,8 @@ from torch import Tensor, nn
 from torchreg.errors import expect
 from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
-from torchreg.nn.fuse import Fuse
+from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
 from torchreg.nn.precision import full_precision
-from torchreg.nn.soft_match import SoftMatch
-from torchreg.nn.weighted_kabsch import WeightedKabsch
 from torchreg.registration.describe import downsample, oriented, per_point
 from torchreg.registration.pair_options import options_of_pairs
 from torchreg.types import Clouds, Features, RegistrationOptions, SoftCorrespondences
