@@ -8,7 +8,7 @@ from scans import colors_of, in_target, nearest, same_bits
 import torchreg as tr
 from torchreg.datasets import ScanPair
 from torchreg.synthetic.scene.environment import Environment, scan_twice
-from torchreg.synthetic.scene.paint import TILES, muted, paint, vivid
+from torchreg.synthetic.scene.paint import muted, paint, vivid
 from torchreg.synthetic.scene.placing import FIXED, ONLY_TARGET, Pieces, scatter
 from torchreg.synthetic.scene.quads import Quads, boxes, rectangles, up
 from torchreg.synthetic.scene.scanner import LaserScanner
@@ -20,7 +20,7 @@ SIZE = np.array([8.0, 6.0, 3.0])
 def walls(size, rng):
     x, y, z = size
     color = muted(rng)
-    floor = rectangles((0, 0, 0), (x, 0, 0), (0, y, 0), paint(rng, color, 0.8 * color, pattern=TILES))
+    floor = rectangles((0, 0, 0), (x, 0, 0), (0, y, 0), paint(rng, color, 0.8 * color, pattern="tiles"))
     sides = boxes(
         [(0, -y / 2, z / 2), (0, y / 2, z / 2), (-x / 2, 0, z / 2), (x / 2, 0, z / 2)],
         [(x, 0.1, z), (x, 0.1, z), (0.1, y, z), (0.1, y, z)],

@@ -53,16 +53,12 @@ def road(
     Args:
         seed: which road; at least 0.
         baseline: meters between the two stations, in [0, 30]; 0 scans twice from one place, the scanner turned.
-        angular_step: degrees between neighboring rays, in [0.05, 5]; the default gives some 180,000 points
-            a scan.
-        range_noise: meters, standard deviation of a range at 10 m on a surface that faces the scanner, in
-            [0, 0.1].
-        relight: how much light and camera differ between the scans, in [0, 2]; 0 not at all, 1 as between a
-            sunny and a cloudy day.
+        angular_step: degrees, as for ``mall``; the default gives some 180,000 points a scan.
+        range_noise: meters, as for ``mall``.
+        relight: as for ``mall``.
 
     Returns:
-        Two clouds, each in the frame of its own scanner, float32 in meters with colors in [0, 1] (steps of
-        1/255) and the scanner at zero, and the true motion.
+        Two clouds and the true motion, as those of ``mall``.
 
     Raises:
         ValueError: an argument out of its range.

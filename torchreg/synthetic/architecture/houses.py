@@ -11,20 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchreg.synthetic.scene import Array
-from torchreg.synthetic.scene.paint import (
-    BRICKS,
-    LETTERS,
-    PANELS,
-    PLAIN,
-    STRIPES,
-    Paint,
-    from_hsv,
-    muted,
-    neutral,
-    paint,
-    plain_or_muted,
-    vivid,
-)
+from torchreg.synthetic.scene.paint import Paint, from_hsv, muted, neutral, paint, plain_or_muted, vivid
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, prism, rectangles
 
 _RECESS = 0.22  # meters that the panes lie behind the front
@@ -77,7 +64,7 @@ def house(rng: np.random.Generator, length: float, depth: float) -> Quads:
         parts.append(_balconies(front, rng))
     if rng.random() < 0.5:
         ground, letters = (vivid(rng), neutral(rng)) if rng.random() < 0.5 else (neutral(rng), vivid(rng))
-        board = paint(rng, ground, letters, pattern=LETTERS, scale=0.5)
+        board = paint(rng, ground, letters, pattern="letters", scale=0.5)
         parts.append(boxes((0.2 * length * rng.uniform(-1, 1), -0.06, floor), (0.25 * length, 0.1, 0.6), board))
     return Quads.join(parts)
 
@@ -87,9 +74,9 @@ def _wall_paint(rng: np.random.Generator) -> Paint:
     kind = rng.random()
     if kind < 0.35:
         brick = from_hsv(rng.uniform(0.01, 0.07, 1), rng.uniform(0.4, 0.65, 1), rng.uniform(0.45, 0.65, 1))
-        return paint(rng, brick, 0.5 * brick + 0.5 * neutral(rng, 0.6, 0.75), pattern=BRICKS, scale=0.09)
+        return paint(rng, brick, 0.5 * brick + 0.5 * neutral(rng, 0.6, 0.75), pattern="bricks", scale=0.09)
     color = plain_or_muted(rng, 0.6)
-    return paint(rng, color, 0.8 * color, pattern=PLAIN if kind < 0.7 else PANELS, scale=1.4)
+    return paint(rng, color, 0.8 * color, pattern="plain" if kind < 0.7 else "panels", scale=1.4)
 
 
 def _wall(front: _Front, paint: Paint) -> Quads:
@@ -122,7 +109,7 @@ def _windows(front: _Front, rng: np.random.Generator) -> Quads:
     frame_tone = neutral(rng, 0.75, 0.95) if rng.random() < 0.6 else muted(rng)
     frame, ledge = paint(rng, frame_tone, count=count), paint(rng, neutral(rng, 0.5, 0.8), count=count)
     lowered = at[kind[:, 0] > 0.9]
-    blind = paint(rng, shade, 0.8 * shade, count=len(lowered), pattern=STRIPES, scale=0.08)
+    blind = paint(rng, shade, 0.8 * shade, count=len(lowered), pattern="stripes", scale=0.08)
     return Quads.join(
         [
             panes,
@@ -144,7 +131,7 @@ def _balconies(front: _Front, rng: np.random.Generator) -> Quads:
     wide, deep = 0.85 * front.length / front.columns, rng.uniform(0.9, 1.4)
     slab = paint(rng, neutral(rng, 0.5, 0.8), count=len(at))
     color = vivid(rng) if rng.random() < 0.4 else plain_or_muted(rng, 0.6)
-    rail = paint(rng, color, 0.85 * color, count=len(at), pattern=STRIPES, scale=0.12)
+    rail = paint(rng, color, 0.85 * color, count=len(at), pattern="stripes", scale=0.12)
     sides = [boxes(at + np.array([s * wide / 2, -deep / 2, 0.55]), (0.05, deep, 0.9), rail) for s in (-1, 1)]
     return Quads.join(
         [
@@ -163,7 +150,7 @@ def _entrance(x: float, rng: np.random.Generator) -> Quads:
     return Quads.join(
         [
             boxes((x, -0.08, 1.45), (wide + 0.6, 0.2, 2.9), surround),
-            boxes((x, -0.2, 1.4), (wide, 0.06, 2.2), paint(rng, color, 0.8 * color, pattern=PANELS, scale=wide / 2)),
+            boxes((x, -0.2, 1.4), (wide, 0.06, 2.2), paint(rng, color, 0.8 * color, pattern="panels", scale=wide / 2)),
             boxes((x, -0.75, 2.85), (wide + 0.8, 1.5, 0.16), paint(rng, neutral(rng, 0.4, 0.9))),
             boxes([(x, -0.5, 0.1), (x, -0.7, 0.1)], [(wide + 0.6, 0.9, 0.4), (wide + 1.0, 1.3, 0.2)], stone),
         ]
@@ -183,7 +170,7 @@ def _body(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
     box = boxes(
         (0, inside + (depth - inside) / 2, front.height / 2),
         (front.length - 0.02, depth - inside, front.height),
-        paint(rng, color, 0.85 * color, pattern=PANELS, scale=2.0),
+        paint(rng, color, 0.85 * color, pattern="panels", scale=2.0),
     )
     z = np.arange(front.floors) * front.floor + front.sill + front.window[1] / 2
     places = np.array([(s * front.length / 2, t * depth, height) for height in z for s in (-1, 1) for t in (0.3, 0.7)])
@@ -201,6 +188,6 @@ def _roof(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
     gable = prism(
         [(-half, 0), (half, 0), (half, 0.2), (0, rise), (-half, 0.2)],
         front.length + 0.6,
-        paint(rng, tile, 0.8 * tile, pattern=PANELS, scale=0.35),
+        paint(rng, tile, 0.8 * tile, pattern="panels", scale=0.35),
     )
     return gable.placed(0, depth / 2, front.height, yaw=math.pi / 2)

@@ -13,7 +13,7 @@ import numpy as np
 
 from torchreg.synthetic.architecture.houses import house
 from torchreg.synthetic.scene import Array
-from torchreg.synthetic.scene.paint import PATCHES, TILES, from_hsv, neutral, paint
+from torchreg.synthetic.scene.paint import from_hsv, neutral, paint
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles
 
 SIDES = (-1, 1)
@@ -113,7 +113,7 @@ def houses(plan: StreetPlan, rng: np.random.Generator) -> Quads:
 def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
     """Asphalt as far as one sees, patched here and there; parking lanes are paved."""
     gray = neutral(rng, 0.3, 0.42)
-    asphalt = paint(rng, gray, 0.8 * gray, pattern=PATCHES, scale=2.5)
+    asphalt = paint(rng, gray, 0.8 * gray, pattern="patches", scale=2.5)
     reach = plan.length + 2 * _BEYOND
     count = int(rng.integers(3, 7))
     spots = rng.uniform((-30, -0.35 * plan.width), (30, 0.35 * plan.width), (count, 2))
@@ -127,7 +127,7 @@ def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
     for side in SIDES:
         if plan.parking[side > 0]:
             stone = _stone(rng)
-            paving = paint(rng, stone, 0.85 * stone, pattern=TILES, scale=0.2)
+            paving = paint(rng, stone, 0.85 * stone, pattern="tiles", scale=0.2)
             across = plan.kerb(side) - plan.width / 2
             parts.append(
                 rectangles((0, side * plan.lane, 0.002), (plan.length, 0, 0), (0, across, 0), paving),
@@ -167,7 +167,7 @@ def _pavement(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
     x = np.arange(-plan.length / 2 + 0.5, plan.length / 2, 1.0)
     tones = rng.uniform(0.9, 1.1, (len(x), 1)) * stone
     slab = _stone(rng)
-    slabs = paint(rng, slab, 0.9 * slab, pattern=TILES, scale=rng.uniform(0.3, 0.5))
+    slabs = paint(rng, slab, 0.9 * slab, pattern="tiles", scale=rng.uniform(0.3, 0.5))
     middle = side * (kerb + (width + edge) / 2)
     return Quads.join(
         [
@@ -189,7 +189,7 @@ def _lawn(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
     corners = np.stack((grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]), axis=2).reshape(-1, 4, 3)
     green = from_hsv(rng.uniform(0.22, 0.3, 1), rng.uniform(0.45, 0.65, 1), rng.uniform(0.38, 0.5, 1))
     straw = from_hsv(rng.uniform(0.13, 0.2, 1), rng.uniform(0.4, 0.6, 1), rng.uniform(0.45, 0.6, 1))
-    grass = paint(rng, green, straw, pattern=PATCHES, scale=rng.uniform(1.0, 2.5))
+    grass = paint(rng, green, straw, pattern="patches", scale=rng.uniform(1.0, 2.5))
     return Quads(corners, corners[..., :2].copy(), grass.take(np.zeros(len(corners), dtype=np.int64)))
 
 

@@ -7,7 +7,7 @@ its cells follows from an integer hash of the cell and of the surface's key.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -15,15 +15,13 @@ import numpy.typing as npt
 
 from torchreg.synthetic.scene import Array
 
-PLAIN, TILES, PANELS, STRIPES, PLANKS, LETTERS, GOODS, POSTER, BRICKS, PATCHES = range(10)
-
 
 @dataclass(frozen=True, eq=False)
 class Paint:
     """The look of ``Q`` surfaces, one row each.
 
     Attributes:
-        pattern: (Q,) int64, one of the patterns of this module.
+        pattern: (Q,) int64, index of the name among ``_PATTERNS``.
         color: (Q, 3) sRGB in [0, 1], the color of most of the surface.
         accent: (Q, 3) sRGB in [0, 1], the second color of the pattern.
         scale: (Q,) meters, the size of a tile, letter, plank, good or block.
@@ -58,7 +56,7 @@ def paint(
     accent: npt.ArrayLike | None = None,
     *,
     count: int | None = None,
-    pattern: int = PLAIN,
+    pattern: str = "plain",
     scale: float = 0.5,
     glow: float = 0.0,
 ) -> Paint:
@@ -69,13 +67,14 @@ def paint(
         color: sRGB, (3,) for all surfaces or (Q, 3).
         accent: the pattern's second color, as ``color``; ``None`` is a darker shade of it.
         count: how many surfaces, ``Q``; ``None`` is the number of rows of ``color``.
-        pattern, scale, glow: of all surfaces, see ``Paint``.
+        pattern: of all surfaces, a name in ``_PATTERNS``.
+        scale, glow: of all surfaces, see ``Paint``.
     """
     color = np.atleast_2d(np.asarray(color, dtype=np.float64))
     count = len(color) if count is None else count
     accent = 0.85 * color if accent is None else np.asarray(accent, dtype=np.float64)
     return Paint(
-        pattern=np.full(count, pattern),
+        pattern=np.full(count, list(_PATTERNS).index(pattern)),
         color=np.broadcast_to(color, (count, 3)),
         accent=np.broadcast_to(accent, (count, 3)),
         scale=np.full(count, scale),
@@ -131,9 +130,9 @@ def albedo(paint: Paint, uv: Array) -> Array:
         (P, 3) float64, sRGB in [0, 1].
     """
     color = paint.color.copy()
-    for pattern, draw in _PATTERNS.items():
+    for pattern, draw in enumerate(_PATTERNS.values()):
         rows = np.flatnonzero(paint.pattern == pattern)
-        if len(rows):
+        if draw is not None and len(rows):
             color[rows] = draw(paint.take(rows), uv[rows])
     # No real surface is of one color: stains as wide as a step, and grain.
     u, v = uv[:, 0], uv[:, 1]
@@ -233,14 +232,15 @@ def _patches(paint: Paint, uv: Array) -> Array:
     return np.asarray(paint.color + weight[:, None] * (paint.accent - paint.color))
 
 
-_PATTERNS = {
-    TILES: _tiles,
-    PANELS: _panels,
-    STRIPES: _stripes,
-    PLANKS: _planks,
-    LETTERS: _letters,
-    GOODS: _goods,
-    POSTER: _poster,
-    BRICKS: _bricks,
-    PATCHES: _patches,
+_PATTERNS: dict[str, Callable[[Paint, Array], Array] | None] = {
+    "plain": None,
+    "tiles": _tiles,
+    "panels": _panels,
+    "stripes": _stripes,
+    "planks": _planks,
+    "letters": _letters,
+    "goods": _goods,
+    "poster": _poster,
+    "bricks": _bricks,
+    "patches": _patches,
 }
