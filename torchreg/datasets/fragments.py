@@ -7,13 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from torchreg.datasets.cloud_files import CloudReader
-from torchreg.datasets.scan_pairs import PairFiles
+from torchreg.datasets.scan_pairs import FilePair, PairFiles
 from torchreg.errors import CloudFileError, expect
 from torchreg.io.placement import Viewpoint
-from torchreg.io.redwood_log import LogEntry, read_redwood_info, read_redwood_log
+from torchreg.io.redwood_log import read_redwood_info, read_redwood_log
 from torchreg.types.scan_pair import ScanPair
 
 _EVALUATION = "-evaluation"
@@ -76,18 +75,10 @@ class Fragments(PairFiles):
             voxel_size=voxel_size, viewpoint=viewpoint, dtype=dtype, colors=colors, normals=normals, device=device
         )
         expect(Path(folder).is_dir(), "folder", "a folder that exists", os.fspath(folder))
-        pairs = [pair for scene in _scenes(Path(os.path.abspath(folder))) for pair in _pairs(scene, log)]
-        self.scenes = tuple(source.parent.name for source, _, _, _ in pairs)
-        self.numbers = tuple((entry.i, entry.j) for _, _, entry, _ in pairs)
-        super().__init__(
-            sources=[source for source, _, _, _ in pairs],
-            targets=[target for _, target, _, _ in pairs],
-            names=[f"{source.parent.name}__{source.stem}__{target.stem}" for source, target, _, _ in pairs],
-            truths=[entry.T_i_j for _, _, entry, _ in pairs],
-            information=[information for _, _, _, information in pairs],
-            reader=reader,
-            transform=transform,
-        )
+        listed = [entry for scene in _scenes(Path(os.path.abspath(folder))) for entry in _pairs(scene, log)]
+        self.scenes = tuple(pair.source.parent.name for _, pair in listed)
+        self.numbers = tuple(numbers for numbers, _ in listed)
+        super().__init__([pair for _, pair in listed], reader, transform)
 
 
 def _scenes(folder: Path) -> list[Path]:
@@ -130,8 +121,8 @@ def _log(scene: Path, wanted: str | os.PathLike[str] | None) -> Path:
     return others[0]
 
 
-def _pairs(scene: Path, wanted: str | os.PathLike[str] | None) -> list[tuple[Path, Path, LogEntry, Tensor | None]]:
-    """Source, target, motion and information of every pair of a scene."""
+def _pairs(scene: Path, wanted: str | os.PathLike[str] | None) -> list[tuple[tuple[int, int], FilePair]]:
+    """The pairs of a scene with their numbers i and j in the log."""
     log = _log(scene, wanted)
     file_name = next((name for name in _FRAGMENTS if any(scene.glob(name.format("*")))), _FRAGMENTS[0])
     info = log.with_suffix(".info")
@@ -143,7 +134,10 @@ def _pairs(scene: Path, wanted: str | os.PathLike[str] | None) -> list[tuple[Pat
         for fragment in (target, source):
             if not fragment.is_file():
                 raise CloudFileError(f"{where}: expected a fragment that is there, got no file {fragment}")
-        if information is not None and (entry.i, entry.j) not in information:
+        numbers = entry.i, entry.j
+        if information is not None and numbers not in information:
             raise CloudFileError(f"{info}: expected every pair of {log.name}, got none for {entry.i} {entry.j}")
-        pairs.append((source, target, entry, None if information is None else information[entry.i, entry.j]))
+        name = f"{scene.name}__{source.stem}__{target.stem}"
+        known = None if information is None else information[numbers]
+        pairs.append((numbers, FilePair(source, target, name, entry.T_i_j, known)))
     return pairs

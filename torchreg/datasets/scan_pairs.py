@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +16,16 @@ from torchreg.errors import CloudFileError
 from torchreg.io import read_pairs_file
 from torchreg.io.placement import Viewpoint
 from torchreg.types.scan_pair import ScanPair
+
+
+class FilePair(NamedTuple):
+    """The files of one pair, and its truth where that is known."""
+
+    source: Path
+    target: Path
+    name: str
+    T_target_source: Tensor | None
+    information: Tensor | None = None
 
 
 class PairFiles(Dataset[ScanPair]):
@@ -32,19 +43,15 @@ class PairFiles(Dataset[ScanPair]):
     """
 
     def __init__(
-        self,
-        sources: Sequence[Path],
-        targets: Sequence[Path],
-        names: Sequence[str],
-        truths: Sequence[Tensor | None],
-        information: Sequence[Tensor | None],
-        reader: CloudReader,
-        transform: Callable[[ScanPair], ScanPair] | None = None,
+        self, pairs: Sequence[FilePair], reader: CloudReader, transform: Callable[[ScanPair], ScanPair] | None
     ) -> None:
-        self.sources, self.targets, self.names = tuple(sources), tuple(targets), tuple(names)
+        self.sources = tuple(pair.source for pair in pairs)
+        self.targets = tuple(pair.target for pair in pairs)
+        self.names = tuple(pair.name for pair in pairs)
         self.reader, self.transform = reader, transform
-        self.T_target_source = _stacked(truths, 4)
-        self.information = None if all(one is None for one in information) else _stacked(information, 6)
+        self.T_target_source = _stacked([pair.T_target_source for pair in pairs], 4)
+        known = any(pair.information is not None for pair in pairs)
+        self.information = _stacked([pair.information for pair in pairs], 6) if known else None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -129,15 +136,8 @@ class ScanPairs(PairFiles):
                 if not file.is_file():
                     where = f"{os.fspath(path)}, line {row.line}"
                     raise CloudFileError(f"{where}: expected a {side} cloud that is there, got no file {file}")
-        super().__init__(
-            sources=[row.source for row in rows],
-            targets=[row.target for row in rows],
-            names=[row.name for row in rows],
-            truths=[row.T_target_source for row in rows],
-            information=[None] * len(rows),
-            reader=reader,
-            transform=transform,
-        )
+        pairs = [FilePair(row.source, row.target, row.name, row.T_target_source) for row in rows]
+        super().__init__(pairs, reader, transform)
 
 
 def _stacked(matrices: Sequence[Tensor | None], size: int) -> Tensor:
