@@ -23,7 +23,7 @@ def test_import_loads_nothing_heavy():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["augment", "datasets", "learning", "nn", "reference"])
+@pytest.mark.parametrize("name", ["augment", "datasets", "learning", "nn", "reference", "synthetic"])
 def test_submodules_come_on_first_use(name):
     assert f"torchreg.{name}" not in modules_after("import torchreg")
     assert f"torchreg.{name}" in modules_after(f"import torchreg; torchreg.{name}")

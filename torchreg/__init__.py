@@ -57,7 +57,7 @@ from torchreg.types import (
 from torchreg.version import __version__
 
 if TYPE_CHECKING:
-    from torchreg import augment, batch, datasets, learning, nn, reference
+    from torchreg import augment, batch, datasets, learning, nn, reference, synthetic
 
 __all__ = [
     "LEARNED",
@@ -110,13 +110,14 @@ __all__ = [
     "soft_equalize",
     "soft_match",
     "spacing",
+    "synthetic",
     "to_open3d",
     "transform",
     "voxel_downsample",
     "write_cloud",
 ]
 
-_ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference")
+_ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference", "synthetic")
 
 
 def _explain(result: RegistrationResult, pair: int) -> str:

@@ -6,7 +6,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.augment import Illumination, shift_hue
-from torchreg.augment.tone import apply_gamma, from_linear, to_linear
+from torchreg.augment.illumination import apply_gamma, from_linear, to_linear
 from torchreg.descriptors.color import hsv
 
 COLORS = torch.rand(200, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)

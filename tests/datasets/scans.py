@@ -5,7 +5,7 @@ import torch
 
 from torchreg.datasets import ScanPair
 from torchreg.open3d_loader import load_open3d
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene import Array
 from torchreg.types.clouds import Clouds
 
 

@@ -13,7 +13,7 @@ from torchreg.matching.dual_softmax import dual_softmax
 from torchreg.matching.sinkhorn import sinkhorn
 from torchreg.matching.soft import squared_distances
 from torchreg.matching.soft_targets import expected_targets
-from torchreg.nn.bin_edges import ascending_edges
+from torchreg.nn.descriptors import ascending_edges
 
 # what torch's own compiler does on its way
 pytestmark = [

@@ -223,7 +223,7 @@ ADVICE = {
     "few inliers": ("no consensus", {"inliers": torch.zeros(4, dtype=torch.bool)}, 'effort="thorough"', "0 of 4 (0 %)"),
     "colors": ("ambiguous", NO_COLORS, "clouds with colors", "geometry alone was matched"),
     "colors of one": ("ambiguous", {"target": NO_COLORS["target"]}, "clouds with colors", "geometry alone was matched"),
-    "color off": ("ambiguous", {"options": options(color=(), color_weights=())}, "color features", "geometry alone"),
+    "color off": ("ambiguous", {"options": options(color=())}, "descriptors of color", "geometry alone"),
     "viewpoint": ("ambiguous", {"source": NO_VIEWPOINT}, "viewpoint", "no viewpoint for the source"),
     "unknown viewpoint": ("ambiguous", {"target": UNKNOWN_VIEWPOINT}, "viewpoint", "no viewpoint for the target"),
     "context": ("ambiguous", {"margin": number(0.5)}, "feature_radius (now 0.25 m) or voxel_size", "about 1.6 to 1"),
@@ -231,7 +231,7 @@ ADVICE = {
     "overlap": ("little overlap", {"overlap": number(0.083)}, "nearer to each other", "8.3 %"),
     "conflict": ("free-space conflict", {"candidates": ((candidate(conflict=0.3),),)}, "viewpoints", "30 %"),
     "normals": ("surfaces disagree", {"candidates": ((candidate(normals=0.2),),)}, "normal_radius (now 0.1 m)", "0.20"),
-    "light": ("colors disagree", {"candidates": ((candidate(colors=-0.1),),)}, "color=()", "-0.10"),
+    "light": ("colors disagree", {"candidates": ((candidate(colors=-0.1),),)}, "without_color", "-0.10"),
 }
 
 

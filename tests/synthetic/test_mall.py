@@ -9,11 +9,11 @@ from scans import colors_of, in_target, nearest, same_bits, thinned
 
 from torchreg.datasets import ScanPair, mall
 from torchreg.open3d_loader import load_open3d
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.light import DISPLAY_GAMMA, Camera, develop
 from torchreg.synthetic.scene.paint import paint
 from torchreg.synthetic.scene.quads import Quads, balls, boxes, cylinders, rectangles
-from torchreg.synthetic.scene.raycast import Raycaster
+from torchreg.synthetic.scene.scanner import Raycaster
 from torchreg.types.clouds import Clouds
 
 STEP = 1.0

@@ -11,7 +11,7 @@ from torchreg.datasets import ScanPair, mall, road
 from torchreg.synthetic.scene.light import Light, irradiance
 from torchreg.synthetic.scene.paint import paint
 from torchreg.synthetic.scene.quads import prism, rectangles
-from torchreg.synthetic.scene.raycast import Raycaster
+from torchreg.synthetic.scene.scanner import Raycaster
 from torchreg.synthetic.scene.weather import daylight
 
 STEP = 1.0
@@ -130,8 +130,8 @@ def test_even_sky_lights_the_ground_fully_and_walls_by_half():
 
 
 def test_prism_is_closed_and_where_its_profile_says():
-    look = paint(np.random.default_rng(0), (0.5, 0.5, 0.5))
-    caster = Raycaster(prism([(-1, 0), (1, 0), (1, 1), (0, 2)], 3.0, look))
+    gray = paint(np.random.default_rng(0), (0.5, 0.5, 0.5))
+    caster = Raycaster(prism([(-1, 0), (1, 0), (1, 1), (0, 2)], 3.0, gray))
     rays = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (-1, 0, 0)], dtype=np.float64)
     reach, _, uv, _ = caster.cast(np.array([0.2, 0.0, 0.5]), rays)
     assert reach == pytest.approx([0.8, 1.5, 1.3, 0.5, 0.95], abs=1e-5)

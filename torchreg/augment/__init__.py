@@ -1,7 +1,7 @@
 """Random changes of clouds for training: motion, crop, noise, density and light, each from its own generator.
 
-Every augmentation is a module: ``augment(clouds)`` gives clouds, ``augment.tracked(clouds)`` also the motion that it
-made. ``Compose`` runs several, ``AugmentPair`` changes both clouds of a pair and keeps its true motion true.
+Every augmentation is a module: ``module(clouds)`` returns changed clouds, ``module.tracked(clouds)`` also their motion.
+``Compose`` runs several, ``AugmentPair`` changes both clouds of a pair and keeps its true motion true.
 
 Example:
     >>> import torch, torchreg as tr
@@ -13,15 +13,10 @@ Example:
     True
 """
 
-from torchreg.augment.augmentation import Augmentation, Tracked
-from torchreg.augment.compose import Compose
-from torchreg.augment.crop import RandomCrop
-from torchreg.augment.density import RandomThin, RandomVoxels
-from torchreg.augment.illumination import Illumination
-from torchreg.augment.jitter import Jitter
-from torchreg.augment.motion import RandomMotion
-from torchreg.augment.pair import AugmentPair
-from torchreg.augment.tone import shift_hue
+from torchreg.augment.augmentation import Augmentation, AugmentPair, Compose, Tracked
+from torchreg.augment.illumination import Illumination, shift_hue
+from torchreg.augment.motion import Jitter, RandomMotion
+from torchreg.augment.selections import RandomCrop, RandomThin, RandomVoxels
 
 __all__ = [
     "AugmentPair",

@@ -1,23 +1,30 @@
-"""Other light and another camera: white balance, exposure, gamma and hue."""
+"""Other light and another camera: white balance, exposure, gamma and hue of sRGB colors (P, 3) in [0, 1].
+
+Gradients of all functions are finite everywhere.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from torchreg.augment.augmentation import Augmentation, Tracked, checked_size, unmoved
-from torchreg.augment.tone import apply_gamma, from_linear, shift_hue, to_linear
+from torchreg.descriptors.color import hsv
 from torchreg.errors import expect
 from torchreg.types import Clouds
+
+_KNEE, _LINEAR_KNEE, _SLOPE, _OFFSET, _POWER = 0.04045, 0.0031308, 12.92, 0.055, 2.4  # IEC 61966-2-1
+_DARKEST = 1 / 512  # below it a power would be too steep, and a straight line takes its place
 
 
 class Illumination(Augmentation):
     """Changes the colors of every cloud as a whole, as another light or another camera does.
 
     In linear light, each channel is multiplied by a gain of its own (white balance) and all by one (exposure); then
-    come a power on the sRGB values (gamma) and a shift along the color circle (hue). Results are cut off at 0 and 1, so
-    no gradient reaches what is bleached; elsewhere gradients flow to colors. A cloud without colors stays as it is.
+    come a power of the sRGB values (gamma) and a shift along the color circle (hue). Results are cut off at 0 and 1, so
+    no gradient reaches clipped colors; elsewhere gradients flow to colors. A cloud without colors stays as it is.
 
     Args:
         white_balance: the largest change of red and of blue against green, in stops (factors of two), at most 4.
@@ -55,7 +62,7 @@ class Illumination(Augmentation):
         self.hue = checked_size(hue, "hue", "turns", 1)
 
     def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
-        """The cloud in other colors."""
+        """Change the colors of one cloud."""
         red, blue, bright, power, turns = (2 * torch.rand(5, generator=draw, dtype=torch.float64) - 1).tolist()
         if cloud.colors is None:
             return Tracked(cloud, unmoved(cloud))
@@ -70,7 +77,46 @@ class Illumination(Augmentation):
             colors = shift_hue(colors, self.hue * turns).clamp(0, 1)
         return Tracked(replace(cloud, colors=colors), unmoved(cloud))
 
-    def extra_repr(self) -> str:
-        """What ``print`` shows."""
-        amounts = f"white_balance={self.white_balance}, exposure={self.exposure}, gamma={self.gamma}, hue={self.hue}"
-        return f"{amounts}, probability={self.probability}"
+
+def shift_hue(colors: Tensor, turns: float) -> Tensor:
+    """Colors whose hue is shifted along the color circle; saturation and value stay, and so do grays.
+
+    Hue is that of HSV (Smith, 1978, doi:10.1145/965139.807361), as PCFH takes it; a whole turn changes nothing.
+
+    Args:
+        colors: (P, 3) sRGB in [0, 1].
+        turns: of the circle; a third takes red to green.
+
+    Returns:
+        (P, 3) in [0, 1]. Gradients flow.
+
+    Raises:
+        ValueError: another shape.
+
+    Example:
+        >>> shift_hue(torch.tensor([[1.0, 0.0, 0.0]]), 1 / 3).round(decimals=3).tolist()
+        [[0.0, 1.0, 0.0]]
+    """
+    hue, saturation, value = hsv(colors).unbind(1)
+    channel = colors.new_tensor([5.0, 3.0, 1.0])
+    sector = torch.remainder(6 * (hue + turns)[:, None] + channel, 6.0)  # (P, 3)
+    ramp = torch.minimum(sector, 4 - sector).clamp(0, 1)
+    return value[:, None] * (1 - saturation[:, None] * ramp)
+
+
+def to_linear(colors: Tensor) -> Tensor:
+    """Linear light of sRGB colors (IEC 61966-2-1). Gradients flow."""
+    curve = ((colors.clamp_min(_KNEE) + _OFFSET) / (1 + _OFFSET)) ** _POWER
+    return torch.where(colors > _KNEE, curve, colors / _SLOPE)
+
+
+def from_linear(light: Tensor) -> Tensor:
+    """sRGB colors of linear light; brighter than white is above 1. Gradients flow."""
+    curve = (1 + _OFFSET) * light.clamp_min(_LINEAR_KNEE) ** (1 / _POWER) - _OFFSET
+    return torch.where(light > _LINEAR_KNEE, curve, light * _SLOPE)
+
+
+def apply_gamma(colors: Tensor, gamma: float) -> Tensor:
+    """Colors to the power of ``gamma``; straight below 1/512. Black and white stay. Gradients flow."""
+    curve = colors.clamp_min(_DARKEST) ** gamma
+    return torch.where(colors > _DARKEST, curve, colors * _DARKEST ** (gamma - 1))

@@ -1,13 +1,14 @@
-"""Random rigid motion."""
+"""Random rigid motion, and noise on positions."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from torchreg.augment.augmentation import Augmentation, Tracked, checked_size
+from torchreg.augment.augmentation import Augmentation, Tracked, checked_size, unmoved
 from torchreg.errors import one_of
 from torchreg.geometry.se3 import apply_rotation, rigid, transform
 from torchreg.types import Clouds
@@ -55,7 +56,7 @@ class RandomMotion(Augmentation):
         self.axis = one_of(axis, "axis", _AXES)
 
     def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
-        """The moved cloud and its motion."""
+        """Move one cloud."""
         largest = math.radians(self.angle)
         numbers = torch.rand(2, generator=draw, dtype=torch.float64).tolist()
         axis, way = torch.nn.functional.normalize(torch.randn(2, 3, generator=draw, dtype=torch.float64), dim=1)
@@ -69,9 +70,45 @@ class RandomMotion(Augmentation):
         T = rigid(R, zero - apply_rotation(R, zero) + t)[None]
         return Tracked(transform(cloud, T), T)
 
-    def extra_repr(self) -> str:
-        """What ``print`` shows."""
-        return f"angle={self.angle}, shift={self.shift}, axis={self.axis!r}, probability={self.probability}"
+
+class Jitter(Augmentation):
+    """Moves every point by normal noise, independent along x, y and z, cut off at ``clip`` deviations.
+
+    Normals and colors stay. Gradients flow to points. The noise is drawn on the CPU, so that it is the same on every
+    device.
+
+    Args:
+        sigma: meters, the standard deviation before it is cut off.
+        clip: standard deviations, the farthest that a coordinate moves.
+        probability: as for ``Augmentation``.
+        generator: as for ``Augmentation``.
+
+    Raises:
+        ValueError: an argument out of its range.
+
+    Example:
+        >>> noisy = Jitter(sigma=0.01, clip=2.0)(Clouds(torch.zeros(100, 3)))
+        >>> bool(noisy.points.abs().max() <= 0.02)
+        True
+    """
+
+    def __init__(
+        self,
+        *,
+        sigma: float = 0.005,
+        clip: float = 3.0,
+        probability: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__(probability=probability, generator=generator)
+        self.sigma = checked_size(sigma, "sigma", "meters")
+        self.clip = checked_size(clip, "clip", "standard deviations")
+
+    def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
+        """Add noise to the points of one cloud."""
+        noise = torch.randn(len(cloud.points), 3, generator=draw, dtype=cloud.points.dtype)
+        noise = self.sigma * noise.clamp_(-self.clip, self.clip)
+        return Tracked(replace(cloud, points=cloud.points + noise.to(cloud.device)), unmoved(cloud))
 
 
 def _haar_angle(share: float, largest: float) -> float:

@@ -98,7 +98,7 @@ def _run(pair: ScanPair, method: str, options: RegistrationOptions, seed: int) -
     begin = time.perf_counter()
     result = register(pair.source, pair.target, options, seed=seed)
     seconds = time.perf_counter() - begin
-    threshold, T_true = options.ransac.inlier_threshold, pair.T_target_source
+    threshold, T_true = options.inlier_threshold, pair.T_target_source
     T, success = result.T_target_source[0], bool(result.success[0])
     errors = pose_errors(pair.source, T_true, T)
     row = DemoRow(

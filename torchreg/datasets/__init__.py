@@ -1,4 +1,4 @@
-"""Scan pairs and correspondence problems with known truth: simulated, or from files for a ``DataLoader``.
+"""Pairs of scans from files for a ``DataLoader``; also the simulated ones of ``torchreg.synthetic``.
 
 Example:
     >>> from torchreg.datasets import mall
@@ -9,11 +9,8 @@ Example:
 from torchreg.datasets.cloud_files import CloudFiles, CloudReader
 from torchreg.datasets.fragments import Fragments
 from torchreg.datasets.scan_pairs import ScanPairs
-from torchreg.synthetic.mall_scans import mall
-from torchreg.synthetic.match_problems import MatchProblem, match_problem
-from torchreg.synthetic.road_scans import road
-from torchreg.types.scan_pair import ScanPair
-from torchreg.types.scan_pair_batch import ScanPairBatch, pack_pairs
+from torchreg.synthetic import MatchProblem, mall, match_problem, road
+from torchreg.types.scan_pair import ScanPair, ScanPairBatch, pack_pairs
 
 __all__ = [
     "CloudFiles",

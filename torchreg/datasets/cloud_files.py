@@ -1,4 +1,4 @@
-"""Clouds read from files when they are asked for, in the process that asks."""
+"""Clouds read from files when they are indexed, in the process that indexes them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class CloudReader:
 
     Attributes:
         voxel_size: meters, for ``voxel_downsample`` right after reading; ``None`` keeps all points.
-        viewpoint: where the scanner stood, as ``read_cloud`` takes it.
+        viewpoint: where the scanner stood, as for ``read_cloud``.
         dtype: of the clouds, float32 or float64.
-        colors: ``None`` takes clouds as they come, ``False`` drops colors, ``True`` refuses a cloud without.
+        colors: ``None`` leaves clouds as they are, ``False`` drops colors, ``True`` refuses a cloud without.
         normals: likewise.
         device: where a cloud goes once it is read; ``None`` is the CPU. Workers of a ``DataLoader`` cannot hand
-            tensors of a GPU on, so with one they refuse: there, move the batch.
+            tensors of a GPU on and refuse it: move each batch instead.
 
     Raises:
-        ValueError: an option cannot be meant; the message names it.
+        ValueError: an invalid option; the message names it.
     """
 
     voxel_size: float | None = None
@@ -84,7 +84,7 @@ class CloudFiles(Dataset[Clouds]):
 
     Attributes:
         paths: the files, one an item.
-        reader: how they are read.
+        reader: reads them.
     """
 
     def __init__(self, paths: Sequence[Path], reader: CloudReader) -> None:
@@ -95,5 +95,5 @@ class CloudFiles(Dataset[Clouds]):
         return len(self.paths)
 
     def __getitem__(self, index: int) -> Clouds:
-        """A batch of one; errors are those of ``CloudReader.read``."""
+        """Read one cloud; errors are those of ``CloudReader.read``."""
         return self.reader.read(self.paths[index])

@@ -1,4 +1,4 @@
-"""A dataset of fragments in folders as 3DMatch, Redwood and the ETH scenes hand them out."""
+"""A dataset of fragments in folders as 3DMatch, Redwood and the ETH scenes are published."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from torchreg.datasets.cloud_files import CloudReader
-from torchreg.datasets.pair_files import PairFiles
+from torchreg.datasets.scan_pairs import FilePair, PairFiles
 from torchreg.errors import CloudFileError, expect
 from torchreg.io.placement import Viewpoint
-from torchreg.io.redwood_log import LogEntry, read_redwood_info, read_redwood_log
+from torchreg.io.redwood_log import read_redwood_info, read_redwood_log
 from torchreg.types.scan_pair import ScanPair
 
 _EVALUATION = "-evaluation"
 _FRAGMENTS = ("cloud_bin_{}.ply", "Hokuyo_{}.ply")
-"""How fragments are called: in 3DMatch and Redwood, and in the ETH scenes."""
+"""File names of fragments: in 3DMatch and Redwood, and in the ETH scenes."""
 
 
 class Fragments(PairFiles):
@@ -26,7 +25,7 @@ class Fragments(PairFiles):
 
     A scene is a folder of fragments ``cloud_bin_0.ply``, ``cloud_bin_1.ply``, ..., or ``Hokuyo_0.ply``, ... as in the
     ETH scenes of Gojcic et al., The Perfect Match, CVPR 2019, doi:10.1109/CVPR.2019.00569. Its log is ``gt.log`` in
-    the folder itself or in its sibling ``SCENE-evaluation``, as the public archive has it; where neither is there, the
+    the folder itself or in its sibling ``SCENE-evaluation``, as in the public archive; where there is neither, the
     only other ``*.log`` of the two. ``log`` names another one, such as that of 3DLoMatch. A block ``i j n`` of the log
     holds the matrix that takes points of fragment j into the frame of fragment i, so here fragment j is the source,
     fragment i the target, and ``T_target_source`` the matrix as it stands. Information comes from ``gt.info`` beside
@@ -55,8 +54,8 @@ class Fragments(PairFiles):
 
     Raises:
         CloudFileError: no fragments or no log, a log that cannot be read or is cut short, a matrix that is not
-            rigid, a pair twice, a fragment that is not there, or a ``gt.info`` without a pair of the log.
-        ValueError: another argument cannot be meant.
+            rigid, a pair twice, a missing fragment, or a ``gt.info`` without a pair of the log.
+        ValueError: another argument is invalid.
     """
 
     def __init__(
@@ -76,22 +75,14 @@ class Fragments(PairFiles):
             voxel_size=voxel_size, viewpoint=viewpoint, dtype=dtype, colors=colors, normals=normals, device=device
         )
         expect(Path(folder).is_dir(), "folder", "a folder that exists", os.fspath(folder))
-        pairs = [pair for scene in _scenes(Path(os.path.abspath(folder))) for pair in _pairs(scene, log)]
-        self.scenes = tuple(source.parent.name for source, _, _, _ in pairs)
-        self.numbers = tuple((entry.i, entry.j) for _, _, entry, _ in pairs)
-        super().__init__(
-            sources=[source for source, _, _, _ in pairs],
-            targets=[target for _, target, _, _ in pairs],
-            names=[f"{source.parent.name}__{source.stem}__{target.stem}" for source, target, _, _ in pairs],
-            truths=[entry.T_i_j for _, _, entry, _ in pairs],
-            information=[information for _, _, _, information in pairs],
-            reader=reader,
-            transform=transform,
-        )
+        listed = [entry for scene in _scenes(Path(os.path.abspath(folder))) for entry in _pairs(scene, log)]
+        self.scenes = tuple(pair.source.parent.name for _, pair in listed)
+        self.numbers = tuple(numbers for numbers, _ in listed)
+        super().__init__([pair for _, pair in listed], reader, transform)
 
 
 def _scenes(folder: Path) -> list[Path]:
-    """The folder itself where it holds fragments or a log, else those in it that do."""
+    """The folder itself if it holds fragments or a log, else its folders that do."""
     if _is_scene(folder):
         return [folder]
     scenes = [inner for inner in sorted(folder.iterdir()) if inner.is_dir() and _is_scene(inner)]
@@ -109,7 +100,7 @@ def _is_scene(folder: Path) -> bool:
 
 
 def _log(scene: Path, wanted: str | os.PathLike[str] | None) -> Path:
-    """Where the true motions of a scene stand."""
+    """The file with the true motions of a scene."""
     beside = scene.with_name(scene.name + _EVALUATION)
     places, name = (scene, beside), "gt.log"
     if wanted is not None and Path(wanted).is_dir():
@@ -130,24 +121,23 @@ def _log(scene: Path, wanted: str | os.PathLike[str] | None) -> Path:
     return others[0]
 
 
-def _fragments(scene: Path) -> str:
-    """How the fragments of a scene are called."""
-    return next((name for name in _FRAGMENTS if any(scene.glob(name.format("*")))), _FRAGMENTS[0])
-
-
-def _pairs(scene: Path, wanted: str | os.PathLike[str] | None) -> list[tuple[Path, Path, LogEntry, Tensor | None]]:
-    """Source, target, motion and information of every pair of a scene."""
-    log, called = _log(scene, wanted), _fragments(scene)
+def _pairs(scene: Path, wanted: str | os.PathLike[str] | None) -> list[tuple[tuple[int, int], FilePair]]:
+    """The pairs of a scene with their numbers i and j in the log."""
+    log = _log(scene, wanted)
+    file_name = next((name for name in _FRAGMENTS if any(scene.glob(name.format("*")))), _FRAGMENTS[0])
     info = log.with_suffix(".info")
     information = read_redwood_info(info) if info.exists() else None
     pairs = []
     for entry in read_redwood_log(log):
-        source, target = (scene / called.format(number) for number in (entry.j, entry.i))
+        source, target = (scene / file_name.format(number) for number in (entry.j, entry.i))
         where = f"{log}, line {entry.line}"
         for fragment in (target, source):
             if not fragment.is_file():
                 raise CloudFileError(f"{where}: expected a fragment that is there, got no file {fragment}")
-        if information is not None and (entry.i, entry.j) not in information:
+        numbers = entry.i, entry.j
+        if information is not None and numbers not in information:
             raise CloudFileError(f"{info}: expected every pair of {log.name}, got none for {entry.i} {entry.j}")
-        pairs.append((source, target, entry, None if information is None else information[entry.i, entry.j]))
+        name = f"{scene.name}__{source.stem}__{target.stem}"
+        known = None if information is None else information[numbers]
+        pairs.append((numbers, FilePair(source, target, name, entry.T_i_j, known)))
     return pairs

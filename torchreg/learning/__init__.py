@@ -1,13 +1,7 @@
-"""Training of what the paper fixes by hand: losses, hypotheses to train through, and the color block's weights."""
+"""Training of what the paper sets by hand: losses, differentiable hypotheses, and the weights of the color block."""
 
-from torchreg.learning.losses import (
-    PoseLoss,
-    circle_loss,
-    info_nce,
-    inlier_probability_loss,
-    pose_loss,
-    true_distances,
-)
+from torchreg.learning.correspondence_losses import circle_loss, info_nce, inlier_probability_loss, true_distances
+from torchreg.learning.pose_losses import PoseLoss, pose_loss
 from torchreg.learning.prepared import PreparedCloud, PreparedPair, prepare_cloud, prepare_pair
 from torchreg.learning.sampling import Samples, draw_samples, score_function_loss
 from torchreg.learning.soft_selection import (

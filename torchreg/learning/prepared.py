@@ -1,4 +1,4 @@
-"""Pairs of scans with everything that does not change while color features are varied or trained."""
+"""Pairs of scans with all that stays fixed while color features are varied or trained: normals, neighbors, FPFH."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class PreparedPair:
 
     Attributes:
         name: of the pair.
-        scene: what a split into training and test keeps together.
-        source: the one.
-        target: the other.
-        T_target_source: (4, 4) float64, true, between world frames (clouds' origins included).
-        voxel: meters; lengths below are multiples of it.
+        scene: all pairs of a scene go to training, or all to test.
+        source: its downsampled scan.
+        target: likewise.
+        T_target_source: (4, 4) float64, meters, the true motion, origins included.
+        voxel: meters; other lengths are multiples of it.
     """
 
     name: str
@@ -54,8 +54,8 @@ class PreparedPair:
         T = self.T_target_source
         moved = (self.source.cloud.points.double() + self.source.cloud.origin[0]) @ T[:3, :3].t() + T[:3, 3]
         target = self.target.cloud.points.double() + self.target.cloud.origin[0]
-        found = nearest(moved, target)
-        return found.index, found.sq_distance < radius * radius
+        partner = nearest(moved, target)
+        return partner.index, partner.sq_distance < radius * radius
 
 
 def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
@@ -76,7 +76,7 @@ def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
 def prepare_pair(
     source: Clouds, target: Clouds, T_target_source: Tensor, voxel: float, *, name: str, scene: str
 ) -> PreparedPair:
-    """Both scans prepared; arguments as the attributes of ``PreparedPair``."""
+    """Prepare both scans of a pair; arguments as the attributes of ``PreparedPair``."""
     expect(T_target_source.shape == (4, 4), "T_target_source", "(4, 4)", T_target_source)
     return PreparedPair(
         name,
@@ -89,10 +89,10 @@ def prepare_pair(
 
 
 def cropped(pair: PreparedPair, max_points: int, generator: torch.Generator) -> PreparedPair:
-    """The part of a pair around one place that both scans saw, for training within bounds of time and memory.
+    """The part of a pair around one place that both scans see, to bound time and memory of training.
 
     Args:
-        pair: returned as it is where no scan has more than ``max_points``.
+        pair: returned unchanged where no scan has more than ``max_points``.
         max_points: of either scan.
         generator: draws the place among the source points that have a partner within 2 voxels.
 

@@ -1,7 +1,7 @@
-"""Minimal samples drawn by learned weights, with what it takes to learn the weights from how the samples fared.
+"""Minimal samples drawn by learned weights, and the gradient that learns the weights from the losses of the samples.
 
 Drawing has no derivative, but its expectation has one: grad E[L] = E[L grad log p] + E[grad L] (Williams, 1992,
-doi:10.1007/BF00992696). NG-RANSAC learns where to look in this way (Brachmann and Rother, ICCV 2019,
+doi:10.1007/BF00992696). NG-RANSAC learns its sampling weights in this way (Brachmann and Rother, ICCV 2019,
 arXiv:1905.04132, Eq. 5).
 """
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from torchreg.errors import at_least, expect, expect_floating, expect_shape
 from torchreg.geometry.numerics.chunks import row_chunks
 
-_LEAST = -600.0  # of the logarithm of a share: what is never drawn but where nothing else is left
+_LEAST = -600.0  # logarithm of the share of correspondences that are drawn only where nothing else is left
 _DRAW_ELEMENTS = 1 << 22  # a constant: the stream of draws depends on it
 
 
@@ -34,7 +34,7 @@ class Samples(NamedTuple):
 def draw_samples(
     logits: Tensor, hypotheses: int, *, sample_size: int = 3, generator: torch.Generator | None = None
 ) -> Samples:
-    """Samples without replacement, one correspondence after another by its weight among those that are left.
+    """Draw samples without replacement, one correspondence after another by its weight among those that are left.
 
     All are drawn at once: the largest S of logits with Gumbel noise are such a sample (Kool et al., ICML 2019,
     arXiv:1903.06059), and log p = sum_k (l_k - log sum of exp(l) over what was left at the k-th draw).
@@ -98,9 +98,9 @@ def _log_left(log_share: Tensor, rows: Tensor) -> Tensor:
 def score_function_loss(losses: Tensor, log_probability: Tensor) -> Tensor:
     """The mean of losses of random draws, with the gradient of its expectation.
 
-    Its value is the mean. Its gradient has two parts: that of the losses themselves, and that of drawing what fares
-    better than the others more often, (L_i - b_i) grad log p_i. The baseline b_i, the mean of the other losses,
-    takes away most of the noise and leaves the expectation alone.
+    Its value is the mean. Its gradient has two parts: that of the losses themselves, and (L_i - b_i) grad log p_i,
+    which makes draws of less loss more likely. The baseline b_i, the mean of the other losses, removes most of the
+    noise and does not change the expectation.
 
     Args:
         losses: (N,) of N independent draws: of samples, or of whole runs, with or without gradient.

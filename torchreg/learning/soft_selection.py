@@ -1,8 +1,8 @@
-"""RANSAC that can be trained through: all hypotheses weighed softly, instead of the best one picked.
+"""Differentiable RANSAC: all hypotheses weighted softly, instead of the best one picked.
 
 Differentiable sample consensus (Brachmann et al., CVPR 2017, arXiv:1611.05705): minimal samples are solved in closed
-form, inliers are counted by a sigmoid, the counts become a distribution over hypotheses by a softmax, and what is
-trained on is the expected loss under it (Eq. 8 there), or the loss of one hypothesis drawn from it.
+form, inliers are counted by a sigmoid, the counts become a distribution over hypotheses by a softmax, and the
+training loss is the expected loss under it (Eq. 8 there), or the loss of one hypothesis drawn from it.
 
     score_h = sum_i w_i sigmoid((threshold - |R_h p_i + t_h - q_i|) / softness) / sum_i w_i
     P(h)    = softmax_h(score_h / temperature)
@@ -21,10 +21,10 @@ from torchreg.geometry.numerics.lengths import safe_length
 
 
 class SoftSelection(NamedTuple):
-    """Hypotheses of one pair, and how likely each is to be chosen.
+    """Hypotheses of one pair with the probability of choosing each.
 
     Attributes:
-        T_target_source: (H, 4, 4), between the frames of the points that were given.
+        T_target_source: (H, 4, 4), between the frames of the points.
         score: (H,) in [0, 1], the soft share of inliers by weight.
         probability: (H,), sums to one.
         log_probability: (H,).
@@ -40,7 +40,7 @@ class DrawnHypothesis(NamedTuple):
     """One hypothesis drawn by its probability.
 
     Attributes:
-        hypothesis: () int64, which of them.
+        hypothesis: () int64, its index.
         T_target_source: (4, 4).
         log_probability: (), of drawing it.
     """
@@ -68,12 +68,11 @@ def select_softly(
         samples: (H, S) int64 rows of correspondences, as from ``draw_samples``.
         inlier_threshold: meters.
         softness: meters over which an inlier becomes an outlier; ``None``: a fifth of the threshold.
-        temperature: share of inliers that makes a difference; towards zero the best hypothesis takes all.
-        weights: (M,) at least 0, how much a correspondence counts in the score; ``None``: all the same. Only their
-            ratios matter.
+        temperature: difference in inlier share that matters; towards zero the best hypothesis takes all.
+        weights: (M,) at least 0, of the correspondences in the score; ``None``: all alike. Only their ratios matter.
 
     Returns:
-        All hypotheses, at any rate finite: a sample that leaves the rotation open gets one of the best. Gradients
+        All hypotheses, always finite: a sample that does not determine the rotation gets one of the best. Gradients
         flow to points and weights, from transforms and probabilities; memory grows with H M.
 
     Raises:
@@ -126,7 +125,7 @@ def expected_loss(selection: SoftSelection, losses: Tensor) -> Tensor:
 
 
 def draw_hypothesis(selection: SoftSelection, *, generator: torch.Generator | None = None) -> DrawnHypothesis:
-    """One hypothesis by its probability: what a run would use, and what ``score_function_loss`` learns from.
+    """Draw one hypothesis by its probability, as a run does; ``score_function_loss`` learns from such draws.
 
     Args:
         selection: H hypotheses.

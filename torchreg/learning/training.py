@@ -10,24 +10,24 @@ from torch import Tensor
 
 from torchreg.descriptors.learned import LearnedColor
 from torchreg.errors import at_least, expect, positive
-from torchreg.learning.losses import info_nce
+from torchreg.learning.correspondence_losses import info_nce
 from torchreg.learning.prepared import PreparedCloud, PreparedPair, cropped
 from torchreg.types import Features
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
-    """How a model is trained.
+    """Options of training.
 
     Attributes:
-        steps: pairs seen, one a step.
-        anchors: source points a step, drawn from those with a true partner.
+        steps: of the optimizer, one pair each.
+        anchors: source points per step, drawn from those with a true partner.
         rate: step size of Adam.
         temperature: of the contrastive loss.
-        max_points: of a scan; of larger ones a part around a shared place is drawn once.
+        max_points: of a scan; larger pairs are cropped once, around a place that both scans see.
         color_radius: in voxels, the support of the color block.
-        partner_radius: in voxels; nearer than this under the truth, points are partners; within twice as far they are
-            no counterexamples.
+        partner_radius: in voxels; points nearer than this under the truth are partners, and those within twice as far
+            do not count as wrong.
         seed: of all draws.
     """
 
@@ -60,7 +60,7 @@ def train_color(
     *,
     report: Callable[[int, float], None] | None = None,
 ) -> list[float]:
-    """Train a model in place by contrast: of all points, the true partner should be the most alike.
+    """Train a model in place by contrast: of all points, the true partner should be the most similar.
 
     Every step draws a pair, draws anchors among the points that have a true partner, and takes InfoNCE both ways
     against all points of the other scan.
@@ -68,7 +68,7 @@ def train_color(
     Args:
         model: on the CPU or another device, with the pairs on the same.
         pairs: of any scenes, at least one.
-        options: how.
+        options: of training; ``None``: the defaults.
         report: called with every step's number and loss.
 
     Returns:

@@ -1,12 +1,9 @@
 """Modules over the functions: they hold options and learnable weights, and nothing else."""
 
-from torchreg.nn.bin_edges import BinEdges
-from torchreg.nn.descriptors import FPFH, PCFH
+from torchreg.nn.descriptors import FPFH, PCFH, BinEdges
 from torchreg.nn.equalize import Equalize, PairValues
-from torchreg.nn.fuse import Fuse
+from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
 from torchreg.nn.register import Register, SoftRegistration
-from torchreg.nn.soft_match import SoftMatch
-from torchreg.nn.weighted_kabsch import WeightedKabsch
 
 __all__ = [
     "FPFH",

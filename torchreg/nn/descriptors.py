@@ -1,7 +1,8 @@
-"""FPFH and PCFH as modules, whose bins may be learned."""
+"""FPFH and PCFH as modules, with bins whose edges can be learned."""
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from torchreg.descriptors.fpfh import fpfh
@@ -9,21 +10,21 @@ from torchreg.descriptors.pair_features import ANGLE_BINS
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
 from torchreg.descriptors.soft.arguments import expect_binning
 from torchreg.errors import at_least, expect, one_of
-from torchreg.nn.bin_edges import BinEdges
-from torchreg.nn.precision import full_precision
+from torchreg.nn.precision import full_precision, widened
 from torchreg.types import Clouds, Features, Neighborhoods
 
 _ANGLES = 3
+_LEAST_WIDTH = 0.01  # of an equal bin's: no bin vanishes, and edges ascend strictly in float32 too
 
 
 class FPFH(nn.Module):
-    """``torchreg.fpfh`` with its options, by soft binning unless told otherwise.
+    """``torchreg.fpfh`` with its options, by soft binning by default.
 
     Args:
         mode: ``"open3d"`` or ``"pcl"``.
         binning: ``"soft"``, with gradients, or ``"hard"``, without.
         bandwidth: of soft binning, in (0, 1].
-        learn_edges: whether the ends of the bins of the three angles are learned; needs soft binning.
+        learn_edges: whether the edges of the bins of the three angles are learned; needs soft binning.
 
     Attributes:
         edges: ``BinEdges`` (3, 11), or ``None`` for equal bins.
@@ -67,16 +68,16 @@ class FPFH(nn.Module):
 
 
 class PCFH(nn.Module):
-    """``torchreg.pcfh`` with its options, by soft binning unless told otherwise.
+    """``torchreg.pcfh`` with its options, by soft binning by default.
 
     Args:
         bins: over [0, 1] per channel.
         channels: which of ``"hue"``, ``"saturation"``, ``"value"`` are compared.
-        equalization: of hue, ``"cloud"`` or ``"none"``; not read when ``forward`` is given values.
+        equalization: of hue, ``"cloud"`` or ``"none"``; ignored when ``forward`` is given values.
         saturation_weighting: hue votes count by the product of both points' saturations.
         binning: ``"soft"``, with gradients, or ``"hard"``, without.
         bandwidth: of soft binning, in (0, 1].
-        learn_edges: whether the ends of the bins of every channel are learned; needs soft binning.
+        learn_edges: whether the edges of the bins of every channel are learned; needs soft binning.
 
     Attributes:
         edges: ``BinEdges`` (channels, bins), or ``None`` for equal bins.
@@ -114,7 +115,7 @@ class PCFH(nn.Module):
         values: Tensor | None = None,
         neighbor_weights: Tensor | None = None,
     ) -> Features:
-        """Features of one block ("pcfh", bins x channels); as of ``torchreg.pcfh``.
+        """Features of one block ("pcfh", bins x channels); arguments and errors are those of ``torchreg.pcfh``.
 
         Args:
             cloud: points and colors; P rows.
@@ -150,3 +151,46 @@ def _checked(binning: str, bandwidth: float, learn_edges: bool) -> tuple[str, fl
     expect_binning(binning, bandwidth, edges=None, neighbor_weights=None)
     expect(binning == "soft" or not learn_edges, "learn_edges", "False with hard binning", learn_edges)
     return binning, bandwidth
+
+
+class BinEdges(nn.Module):
+    """Learnable edges of several histograms over [0, 1], initially of equal bins.
+
+    Widths are a softmax over each row of ``log_widths``, mixed with a hundredth of equal widths; their sums are the
+    edges.
+
+    Args:
+        rows: histograms, such as the three angles of FPFH.
+        bins: of each.
+
+    Attributes:
+        log_widths: (rows, bins) learnable; zeros give equal bins. A constant added to a row changes nothing.
+
+    Raises:
+        ValueError: ``rows`` or ``bins`` below 1.
+    """
+
+    def __init__(self, rows: int, bins: int) -> None:
+        super().__init__()
+        self.log_widths = nn.Parameter(torch.zeros(at_least(rows, "rows", 1), at_least(bins, "bins", 1)))
+
+    def forward(self) -> Tensor:
+        """The edges (rows, bins + 1), strictly ascending from 0 to 1, in float32 or float64. Gradients flow."""
+        return ascending_edges(widened(self.log_widths))
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        rows, bins = self.log_widths.shape
+        return f"rows={rows}, bins={bins}"
+
+
+def ascending_edges(log_widths: Tensor) -> Tensor:
+    """Edges (rows, bins + 1) from logarithms of widths (rows, bins). Gradients flow."""
+    shares = log_widths.softmax(dim=1)
+    bins = shares.shape[1]
+    widths = shares * (1 - _LEAST_WIDTH) + _LEAST_WIDTH / bins
+    # not by cumsum, whose gradient the compiler of torch 2.13 gets wrong here on CPUs
+    before = torch.ones(bins, bins, dtype=widths.dtype, device=widths.device).triu(1)[:, 1:]
+    inner = (widths[:, :, None] * before).sum(dim=1)
+    first = torch.zeros_like(widths[:, :1])
+    return torch.cat([first, inner, first + 1], dim=1)

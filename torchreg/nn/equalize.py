@@ -30,7 +30,7 @@ class PairValues(NamedTuple):
 class Equalize(nn.Module):
     """Hue, saturation and value of every point, hue equalized by ``torchreg.soft_equalize``.
 
-    What comes out is what ``PCFH`` takes as ``values``. Gradients flow to colors, finite for gray points.
+    ``PCFH`` takes the result as ``values``. Gradients flow to colors, finite for gray points.
 
     Args:
         bandwidth: in (0, 1], of the ramp over which a hue passes from one of 256 levels to the next.
@@ -61,13 +61,13 @@ class Equalize(nn.Module):
             ValueError: no colors, or different numbers of clouds.
         """
         expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
-        one, other = hsv(colors_of(source)), hsv(colors_of(target))
+        p, q = hsv(colors_of(source)), hsv(colors_of(target))
         pairs = list(zip(spans(source.offsets), spans(target.offsets), strict=True))
-        hues = torch.cat([one[:0, 0], *(part for (i, j), (k, m) in pairs for part in (one[i:j, 0], other[k:m, 0]))])
-        equal = soft_equalize(hues, offsets_of(j - i + m - k for (i, j), (k, m) in pairs), self.bandwidth)
-        parts = equal.split([size for (i, j), (k, m) in pairs for size in (j - i, m - k)])
-        sides = (torch.cat([equal[:0], *parts[::2]]), torch.cat([equal[:0], *parts[1::2]]))
-        return PairValues(_with_hue(sides[0], one), _with_hue(sides[1], other))
+        hues = torch.cat([p[:0, 0], *(hue for (i, j), (k, m) in pairs for hue in (p[i:j, 0], q[k:m, 0]))])
+        equalized = soft_equalize(hues, offsets_of(j - i + m - k for (i, j), (k, m) in pairs), self.bandwidth)
+        parts = equalized.split([size for (i, j), (k, m) in pairs for size in (j - i, m - k)])
+        of_source, of_target = (torch.cat([equalized[:0], *parts[side::2]]) for side in (0, 1))
+        return PairValues(_with_hue(of_source, p), _with_hue(of_target, q))
 
     def extra_repr(self) -> str:
         """What ``print`` shows."""

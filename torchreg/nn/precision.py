@@ -1,7 +1,7 @@
-"""Geometry keeps its digits under autocast: what a half-precision network hands over is widened, and stays wide.
+"""Full precision under autocast, since geometry needs the digits that a half-precision network drops.
 
 A coordinate of 10 m in bfloat16 is off by 3 cm, and a histogram counts votes to 1 in 256. So modules run outside of
-autocast, and what comes in half precision is taken to float32 first.
+autocast, on half-precision inputs converted to float32.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def full_precision(forward: _Forward) -> _Forward:
     """Run a module's forward outside of autocast, with clouds, features and tensors in float32 or float64."""
 
     @functools.wraps(forward)
-    def call(module: torch.nn.Module, *args: object, **words: object) -> Any:  # noqa: ANN401
+    def call(module: torch.nn.Module, *args: object, **keywords: object) -> Any:  # noqa: ANN401
         wide = [_widened(value) for value in args]
-        named = {name: _widened(value) for name, value in words.items()}
-        kind = _device_type((*args, *words.values()))
-        if not (torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)):
+        named = {name: _widened(value) for name, value in keywords.items()}
+        device_type = _device_type((*args, *keywords.values()))
+        if not (torch.amp.is_autocast_available(device_type) and torch.is_autocast_enabled(device_type)):
             return forward(module, *wide, **named)
-        with torch.autocast(kind, enabled=False):
+        with torch.autocast(device_type, enabled=False):
             return forward(module, *wide, **named)
 
     return call  # type: ignore[return-value]
@@ -43,7 +43,7 @@ def widened(value: Tensor) -> Tensor:
 
 
 def _device_type(args: tuple[object, ...]) -> str:
-    """Where the first of the arguments is."""
+    """Type of the device of the first argument."""
     first = args[0] if args else None
     if isinstance(first, Clouds):
         return first.device.type

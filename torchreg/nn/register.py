@@ -13,10 +13,8 @@ from torchreg.descriptors.records import Fpfh, Pcfh
 from torchreg.errors import expect
 from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
-from torchreg.nn.fuse import Fuse
+from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
 from torchreg.nn.precision import full_precision
-from torchreg.nn.soft_match import SoftMatch
-from torchreg.nn.weighted_kabsch import WeightedKabsch
 from torchreg.registration.describe import Description, downsample, oriented, support_of
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import options_of_pairs

@@ -114,19 +114,17 @@ def _add(table: Table, rows: Iterable[tuple[str, str]]) -> None:
 
 
 def _options_rows(options: RegistrationOptions, *, colored: bool) -> Iterator[tuple[str, str]]:
-    """The options that a user would ask about; without colors the color blocks take no part."""
+    """The options that a user would ask about; without colors the descriptors that need them take no part."""
     voxel = options.voxel_size
     yield "voxel size", "none: points as they are" if voxel is None else meters(voxel)
     yield "normals", f"within {meters(options.normal_radius)}, at most {options.normal_max_neighbors} neighbors"
-    yield "FPFH", f"within {meters(options.feature_radius)}, at most {options.feature_max_neighbors} neighbors"
-    if options.color and colored:
-        blocks = " and ".join(
-            f"{block} (weight {weight:g})" for block, weight in zip(options.color, options.color_weights, strict=True)
-        )
-        yield "color", f"{blocks} within {meters(options.color_radius)}"
-    else:
+    for record, weight in zip(options.descriptors, options.weights, strict=True):
+        if colored or not record.needs_colors:
+            within = f"within {meters(record.radius)}, at most {record.max_neighbors} neighbors"
+            yield record.name, f"{within}, weight {weight:g}"
+    if not (colored and any(record.needs_colors for record in options.descriptors)):
         yield "color", "none: geometry alone"
-    yield "inlier threshold", meters(options.ransac.inlier_threshold)
+    yield "inlier threshold", meters(options.inlier_threshold)
 
 
 def _registration_rows(facts: Facts) -> Iterator[tuple[str, str]]:

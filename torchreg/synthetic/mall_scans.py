@@ -2,7 +2,7 @@
 
 A hall is drawn from the seed, furnished, and scanned from two stations by ray casting. Between the scans some
 cartons are moved, other people stand around, and the light changes. Columns, fronts and signs repeat in shape.
-Most of what is seen is white, gray or beige in most halls; how much is colored differs from hall to hall.
+Most surfaces are white, gray or beige in most halls; the colored share differs from hall to hall.
 """
 
 from __future__ import annotations
@@ -11,19 +11,29 @@ import math
 
 import numpy as np
 
-from torchreg.synthetic.furnishing import furnish
-from torchreg.synthetic.hall import HallPlan, ceiling, columns, draw_plan, end_wall, floor
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.architecture.hall import HallPlan, ceiling, columns, draw_plan, end_wall, floor
+from torchreg.synthetic.architecture.shops import bay
+from torchreg.synthetic.furniture import indoor
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.environment import Environment, scan_twice
 from torchreg.synthetic.scene.light import Light
+from torchreg.synthetic.scene.placing import FIXED, MOVED, ONLY_SOURCE, ONLY_TARGET, Contents, Pieces, scatter
 from torchreg.synthetic.scene.quads import Quads, up
-from torchreg.synthetic.scene.scanner import Scanner
-from torchreg.synthetic.scene.weather import exposed_camera, hall_light
-from torchreg.synthetic.shops import bay
-from torchreg.synthetic.stations import check_options, scan_pair, two_stations
+from torchreg.synthetic.scene.scanner import LaserScanner
+from torchreg.synthetic.scene.weather import indoor_light
 from torchreg.types.scan_pair import ScanPair
 
-# Each stage draws from a stream of its own, so that an option of one stage changes nothing in another.
-_PLAN, _BUILDING, _FURNITURE, _STATIONS, _WEATHER, _LIGHT, _CAMERAS, _NOISE = range(8)
+_FURNITURE = (
+    Pieces(indoor.kiosk, 1.9, 3, FIXED),
+    Pieces(indoor.bench, 1.0, 5, FIXED),
+    Pieces(indoor.planter, 0.6, 7, FIXED),
+    Pieces(indoor.board, 0.5, 4, FIXED),
+    Pieces(indoor.litter_bin, 0.3, 4, FIXED),
+    Pieces(indoor.cartons, 0.5, 5, FIXED),
+    Pieces(indoor.cartons, 0.5, 5, MOVED),
+    Pieces(indoor.person, 0.4, 6, ONLY_SOURCE),
+    Pieces(indoor.person, 0.4, 6, ONLY_TARGET),
+)
 
 
 def mall(
@@ -36,12 +46,12 @@ def mall(
 ) -> ScanPair:
     """Scan one simulated mall from two stations.
 
-    The same arguments give the same bits. All options but ``baseline`` leave the hall and the stations as
-    they are; ``baseline`` moves the stations, and takes away what would stand right beside them.
+    The same arguments give the same bits. ``baseline`` moves the stations and removes what would stand right beside
+    them; all other options leave hall and stations alone.
 
     Args:
         seed: which hall; at least 0.
-        baseline: meters between the two stations, in [0, 16]; 0 scans twice from one place, the scanner turned anew.
+        baseline: meters between the two stations, in [0, 16]; 0 scans twice from one place, the scanner turned.
         angular_step: degrees between neighboring rays, in [0.05, 5]; the default gives some 280,000 points
             a scan.
         range_noise: meters, standard deviation of a range at 10 m on a surface that faces the scanner, in
@@ -55,36 +65,20 @@ def mall(
 
     Raises:
         ValueError: an argument out of its range.
-        ImportError: Open3D is not there.
+        ImportError: Open3D is not installed.
 
     Example:
         >>> pair = mall(seed=3, angular_step=2.0)
         >>> pair.source.points.shape[1], pair.T_target_source.shape
         (3, torch.Size([4, 4]))
     """
-    check_options(seed, baseline, angular_step, range_noise, relight, farthest=16)
-
-    def stream(stage: int) -> np.random.Generator:
-        return np.random.default_rng((seed, stage))
-
-    plan = draw_plan(stream(_PLAN))
-    building = _building(plan, stream(_BUILDING))
-    at = stream(_STATIONS)
-    stations = two_stations(at.uniform((-1.5, -0.7, 1.5), (1.5, 0.7, 1.7)), baseline, at)
-    contents = furnish(plan, stations, stream(_FURNITURE))
-    weather = relight * float(stream(_WEATHER).choice([-1, 1]))
-    lights = [_light(plan, sign * weather, stream(_LIGHT)) for sign in (1, -1)]
-    scanner = Scanner(angular_step=angular_step, range_noise=range_noise)
-    probes = _grid(plan, height=1.0)
-    settings = stream(_CAMERAS)
-    return scan_pair(
-        [Quads.join([building, *seen]) for seen in contents],
-        lights,
-        [exposed_camera(light, probes, relight, settings) for light in lights],
-        stations,
-        scanner,
-        seed=(seed, _NOISE),
-        name=f"mall-{seed}",
+    return scan_twice(
+        _MALL,
+        seed,
+        baseline=baseline,
+        angular_step=angular_step,
+        range_noise=range_noise,
+        relight=relight,
     )
 
 
@@ -97,16 +91,42 @@ def _building(plan: HallPlan, rng: np.random.Generator) -> Quads:
     return Quads.join(parts)
 
 
+def _furnish(plan: HallPlan, stations: list[Array], rng: np.random.Generator) -> Contents:
+    """Pieces of furniture and people, clear of the columns."""
+
+    def anywhere(radius: float, rng: np.random.Generator) -> Array:
+        half = np.array([plan.length / 2, plan.width / 2]) - radius - 0.5
+        return rng.uniform(-half, half, (100, 2))
+
+    taken = np.pad(plan.columns, ((0, 0), (0, 1)), constant_values=plan.column_size)  # (N, 3): x, y, radius
+    return scatter(_FURNITURE, anywhere, taken, stations, rng)
+
+
 def _light(plan: HallPlan, weather: float, rng: np.random.Generator) -> Light:
     """Lamps along the ceiling and one in each shop, and daylight through the skylight."""
     inside_y = np.repeat([-1, 1], plan.bays) * (plan.width + plan.depth) / 2
     inside = np.column_stack((np.tile(plan.bay_x, 2), inside_y, np.full(2 * plan.bays, plan.opening - 0.2)))
     lamps = np.concatenate((plan.lamps, inside))
     power = np.repeat([12.0, 2.5], [len(plan.lamps), len(inside)])
-    return hall_light(lamps, power, up(plan.height), plan.skylight[0] * plan.skylight[1], weather, rng)
+    return indoor_light(lamps, power, up(plan.height), plan.skylight[0] * plan.skylight[1], weather, rng)
 
 
-def _grid(plan: HallPlan, height: float) -> Array:
-    """Places (24, 3) spread over the hall."""
+def _probes(plan: HallPlan) -> Array:
+    """Places (24, 3) spread over the hall, 1 m above the floor."""
     x, y = np.meshgrid(np.linspace(-0.4, 0.4, 6) * plan.length, np.linspace(-0.4, 0.4, 4) * plan.width)
-    return np.stack((x, y, 0 * x + height), axis=-1).reshape(-1, 3)
+    return np.stack((x, y, 0 * x + 1.0), axis=-1).reshape(-1, 3)
+
+
+_MALL = Environment(
+    name="mall",
+    first_stream=0,
+    plan=draw_plan,
+    fixtures=(_building,),
+    contents=(_furnish,),
+    middle=lambda plan: ((-1.5, -0.7, 1.5), (1.5, 0.7, 1.7)),
+    longest_baseline=16,
+    light=_light,
+    probes=_probes,
+    sunlit=0.1,
+    scanner=LaserScanner(),
+)

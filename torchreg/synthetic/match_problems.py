@@ -1,4 +1,4 @@
-"""Correspondence problems with known truth: so many matches, so many of them wrong, in one of several ways."""
+"""Correspondence problems of known truth: matches of which a chosen share is wrong."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _FURNITURE = ((0.1, 0.1, 0, 0.3, 0.1, 0.2), (0.7, 0.05, 0, 0.1, 0.3, 0.3), (0.4,
 
 @dataclass(frozen=True, eq=False)
 class MatchProblem:
-    """One pair of clouds whose points are matched row by row, and what is true of the matches.
+    """One pair of clouds with putative matches, and the truth about them.
 
     Attributes:
         source: batch of one cloud, M points.
         target: batch of one cloud, M points, in another order.
         matches: M correspondences; ``score`` is smaller for right ones on average, with much overlap.
         T_target_source: (1, 4, 4) float64, meters.
-        is_inlier: (M,) bool.
+        is_inlier: (M,) bool, which matches are right.
     """
 
     source: Clouds
@@ -68,7 +68,7 @@ def match_problem(
         ValueError: an argument out of range, or more rivals than wrong matches.
 
     Example:
-        >>> from torchreg.datasets import match_problem
+        >>> from torchreg.synthetic import match_problem
         >>> int(match_problem(1000, 0.95).is_inlier.sum())
         50
     """
@@ -104,7 +104,7 @@ def _in_cube(count: int, generator: torch.Generator) -> Tensor:
 
 
 def _in_room(count: int, generator: torch.Generator) -> Tensor:
-    """Points (M, 3) on the faces of boxes, even by area."""
+    """Points (M, 3) spread evenly over the faces of boxes."""
     boxes = torch.tensor([(0, 0, 0, *_ROOM), *_FURNITURE], dtype=torch.float64)
     low, edge = boxes[:, :3], boxes[:, 3:]
     area = torch.stack([edge[:, 1] * edge[:, 2], edge[:, 2] * edge[:, 0], edge[:, 0] * edge[:, 1]], dim=1)  # (B, 3)

@@ -2,12 +2,11 @@
 
 from torchreg.types.candidate import Candidate, Proposal, StageCounts
 from torchreg.types.clouds import Clouds
-from torchreg.types.correspondences import Correspondences
+from torchreg.types.correspondences import Correspondences, SoftCorrespondences
 from torchreg.types.failure import Failure
 from torchreg.types.features import Features
 from torchreg.types.neighborhoods import Neighborhoods
 from torchreg.types.result import HypothesisCounts, RegistrationResult
-from torchreg.types.soft_correspondences import SoftCorrespondences
 
 __all__ = [
     "Candidate",

@@ -1,4 +1,4 @@
-"""Pairs of points that may be the same place."""
+"""Pairs of points that may be the same place: listed one by one, or as a confidence for every pair."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect_device, expect_dtype, expect_floating, expect_shape
-from torchreg.types.packing import checked_offsets
+from torchreg.errors import expect, expect_device, expect_dtype, expect_floating, expect_shape
+from torchreg.types.packing import checked_offsets, spans
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,3 +42,37 @@ class Correspondences:
     def __len__(self) -> int:
         """The number of pairs, B."""
         return len(self.offsets) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class SoftCorrespondences:
+    """Soft matches of ``B`` pairs of clouds: one dense matrix each, since every point may match every other.
+
+    Attributes:
+        confidence: B matrices (N_b, M_b) floating point, not below 0: row i, column j is the confidence that source
+            point i and target point j of the pair are the same place. Rows and columns sum to 1 at most (nearly, where
+            Sinkhorn has not converged). Zero where a point has no valid descriptor.
+        source_offsets: (B+1,) int64, on the CPU, of the packed source clouds; N_b = their differences.
+        target_offsets: (B+1,) int64, likewise of the target clouds.
+    """
+
+    confidence: tuple[Tensor, ...]
+    source_offsets: Tensor
+    target_offsets: Tensor
+
+    def __post_init__(self) -> None:
+        pairs = len(self.confidence)
+        for name in ("source_offsets", "target_offsets"):
+            offsets = getattr(self, name)
+            expect_shape(offsets, name, (pairs + 1,))
+            object.__setattr__(self, name, checked_offsets(offsets, int(offsets[-1]), name))
+        rows, columns = spans(self.source_offsets), spans(self.target_offsets)
+        for matrix, (i, j), (k, m) in zip(self.confidence, rows, columns, strict=True):
+            expect_shape(matrix, "confidence", (j - i, m - k))
+            expect_floating(matrix, "confidence")
+            expect(matrix.dtype == self.confidence[0].dtype, "confidence", "matrices of one dtype", matrix)
+            expect_device(matrix, "confidence", self.confidence[0].device)
+
+    def __len__(self) -> int:
+        """The number of pairs, B."""
+        return len(self.confidence)

@@ -1,7 +1,8 @@
-"""Two scans of one place and the true motion between them."""
+"""Two scans of one place with the true motion between them, and packed batches of such pairs for a ``DataLoader``."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,14 +14,14 @@ from torchreg.types.clouds import Clouds
 
 @dataclass(frozen=True, eq=False)
 class ScanPair:
-    """A source scan, a target scan and the truth that a registration should find.
+    """A source scan, a target scan and their true motion, which a registration should find.
 
     Attributes:
         source: batch of one cloud in the frame of its own scanner.
         target: batch of one cloud in the frame of its own scanner.
         T_target_source: (4, 4) float64, meters, the true motion: ``x_target = R @ x_source + t``, origins
             included. NaN throughout where the truth is not known.
-        name: says which pair this is, in a report.
+        name: of the pair, for reports.
         information: (6, 6) float64, the information matrix of the truth as 3DMatch gives it, or ``None``.
 
     Raises:
@@ -36,13 +37,125 @@ class ScanPair:
     def __post_init__(self) -> None:
         for name, cloud in (("source", self.source), ("target", self.target)):
             expect(len(cloud) == 1, name, "one cloud", f"{len(cloud)} clouds")
-        expect_shape(self.T_target_source, "T_target_source", (4, 4))
-        expect_dtype(self.T_target_source, "T_target_source", torch.float64)
-        if self.information is not None:
-            expect_shape(self.information, "information", (6, 6))
-            expect_dtype(self.information, "information", torch.float64)
+        _check_matrices(self.T_target_source, self.information)
 
     @property
     def has_truth(self) -> bool:
         """Whether the true motion is known."""
         return bool(self.T_target_source.isfinite().all())
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPairBatch:
+    """``B`` scan pairs, their clouds packed.
+
+    Attributes:
+        source: B clouds.
+        target: B clouds, in the order of the source.
+        T_target_source: (B, 4, 4) float64, meters, the true motions, origins included; NaN throughout where
+            one is not known.
+        names: of the pairs.
+        information: (B, 6, 6) float64, NaN throughout where there is none; ``None`` where no pair has one.
+
+    Raises:
+        ValueError: the numbers of sources, targets, matrices and names differ, or a matrix has another dtype.
+    """
+
+    source: Clouds
+    target: Clouds
+    T_target_source: Tensor
+    names: tuple[str, ...]
+    information: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        pairs = len(self.names)
+        for name, clouds in (("source", self.source), ("target", self.target)):
+            expect(len(clouds) == pairs, name, f"{pairs} clouds, one for every name", f"{len(clouds)}")
+        _check_matrices(self.T_target_source, self.information, pairs)
+
+    def __len__(self) -> int:
+        """The number of pairs, B."""
+        return len(self.names)
+
+    @property
+    def has_truth(self) -> Tensor:
+        """Whether the true motion of each pair is known, (B,) bool."""
+        return self.T_target_source.isfinite().flatten(1).all(dim=1)
+
+    def unpack(self) -> list[ScanPair]:
+        """The pairs one by one; their tensors are views. Information that is NaN throughout comes as ``None``."""
+        information: list[Tensor | None] = [None] * len(self)
+        if self.information is not None:
+            information = [None if bool(one.isnan().all()) else one for one in self.information]
+        parts = zip(
+            self.source.unpack(), self.target.unpack(), self.T_target_source, self.names, information, strict=True
+        )
+        return [ScanPair(*part) for part in parts]
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> ScanPairBatch:
+        """Copy to a device or change the dtype of the clouds, as ``Clouds.to``; the matrices stay float64."""
+        return self._map(lambda clouds: clouds.to(device, dtype), lambda matrix: matrix.to(device=device))
+
+    def pin_memory(self) -> ScanPairBatch:
+        """Copy into page-locked memory; a ``DataLoader`` with ``pin_memory=True`` calls this where there is a GPU."""
+        return self._map(Clouds.pin_memory, Tensor.pin_memory)
+
+    def _map(self, clouds: Callable[[Clouds], Clouds], matrix: Callable[[Tensor], Tensor]) -> ScanPairBatch:
+        return ScanPairBatch(
+            source=clouds(self.source),
+            target=clouds(self.target),
+            T_target_source=matrix(self.T_target_source),
+            names=self.names,
+            information=None if self.information is None else matrix(self.information),
+        )
+
+
+def pack_pairs(pairs: Sequence[ScanPair]) -> ScanPairBatch:
+    """Join pairs into one batch: the ``collate_fn`` of a ``DataLoader`` over a dataset of pairs.
+
+    Raises:
+        ValueError: nothing to pack, or some sources (targets) have colors or normals and others have none;
+            the message names a pair of each kind. ``colors=False`` or ``normals=False`` of the dataset drops
+            them.
+
+    Example:
+        >>> cloud = Clouds(torch.rand(5, 3))
+        >>> pair = ScanPair(cloud, cloud, torch.eye(4, dtype=torch.float64), "still")
+        >>> pack_pairs([pair, pair]).source.lengths
+        [5, 5]
+    """
+    pairs = list(pairs)
+    expect(len(pairs) > 0, "pairs", "at least one pair", pairs)
+    names = tuple(pair.name for pair in pairs)
+    information = None
+    if any(pair.information is not None for pair in pairs):
+        unknown = pairs[0].T_target_source.new_full((6, 6), float("nan"))
+        information = torch.stack([unknown if pair.information is None else pair.information for pair in pairs])
+    return ScanPairBatch(
+        source=_pack("source", [pair.source for pair in pairs], names),
+        target=_pack("target", [pair.target for pair in pairs], names),
+        T_target_source=torch.stack([pair.T_target_source for pair in pairs]),  # (B, 4, 4)
+        names=names,
+        information=information,
+    )
+
+
+def _pack(side: str, clouds: list[Clouds], names: tuple[str, ...]) -> Clouds:
+    """``Clouds.pack`` after a check whose message names the pairs."""
+    for what in ("colors", "normals"):
+        present = [getattr(cloud, what) is not None for cloud in clouds]
+        if any(present) and not all(present):
+            has, lacks = names[present.index(True)], names[present.index(False)]
+            received = f"them for {has} and none for {lacks} (the dataset's {what}=False drops them)"
+            raise ValueError(f"{side}: expected {what} for all clouds of a batch or for none, got {received}")
+    return Clouds.pack(clouds)
+
+
+def _check_matrices(T_target_source: Tensor, information: Tensor | None, *batch: int) -> None:
+    """Check shapes (batch, 4, 4) and (batch, 6, 6) and the dtype."""
+    matrices = [(T_target_source, "T_target_source", 4)]
+    if information is not None:
+        matrices.append((information, "information", 6))
+    for matrix, name, size in matrices:
+        expect_shape(matrix, name, (*batch, size, size))
+        expect_dtype(matrix, name, torch.float64)

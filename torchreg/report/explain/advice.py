@@ -11,6 +11,7 @@ from collections.abc import Callable
 from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.facts import FIRM, Facts
 from torchreg.report.text import chance, decimal, meters, odds, percent, portion
+from torchreg.solvers import RansacOptions
 
 _MOST = 2
 _LIKELY = 0.9
@@ -90,8 +91,9 @@ def _more_matches(options: RegistrationOptions | None) -> str:
 def _hypotheses(facts: Facts) -> str:
     if facts.drawn == 0 or facts.scored > 0:
         return ""
-    now = "" if facts.options is None else f" (now {facts.options.ransac.edge_similarity:g})"
-    return f"a lower edge_similarity{now} or a larger inlier_threshold: of {facts.drawn:,} hypotheses none was scored"
+    solver = None if facts.options is None else facts.options.solver
+    lower = f"a lower edge_similarity (now {solver.edge_similarity:g}) or " if isinstance(solver, RansacOptions) else ""
+    return f"{lower}a larger inlier_threshold: of {facts.drawn:,} hypotheses none was scored"
 
 
 def _inliers(facts: Facts) -> str:
@@ -109,7 +111,7 @@ def _colors(facts: Facts) -> str:
         return ""
     if not facts.colored:
         return "clouds with colors, which tell places of the same shape apart: geometry alone was matched"
-    return 'color features, color=("contrast", "pcfh"): geometry alone was matched'
+    return "descriptors of color, such as Contrast and Pcfh: geometry alone was matched"
 
 
 def _viewpoint(facts: Facts) -> str:
@@ -159,7 +161,8 @@ def _light(facts: Facts) -> str:
     correlation = facts.candidates[0].colors if facts.candidates else 1.0
     if not correlation < _POOR_COLORS:
         return ""
-    return f"color=() where light or cameras differ: the colors of partners correlate by {decimal(correlation)} only"
+    apart = f"the colors of partners correlate by {decimal(correlation)} only"
+    return f"geometry alone, by options.without_color(), where light or cameras differ: {apart}"
 
 
 _Rule = Callable[[Facts], str]

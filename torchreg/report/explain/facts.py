@@ -66,7 +66,7 @@ class Facts(NamedTuple):
     @property
     def threshold(self) -> float | None:
         """The inlier threshold, meters."""
-        return None if self.options is None else self.options.ransac.inlier_threshold
+        return None if self.options is None else self.options.inlier_threshold
 
 
 def facts_of(result: RegistrationResult, pair: int) -> Facts:

@@ -1,1 +1,9 @@
-"""What simulated scenes are made of, and the scanner that sees them."""
+"""What every simulated place shares: painted quads, light, a scanner, and the order in which they come together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]

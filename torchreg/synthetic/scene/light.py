@@ -1,25 +1,24 @@
 """Light on surfaces, and the camera that turns it into 8-bit colors.
 
-Irradiance is the sum of an even ambient part, of lamps, of a window to the sky in the ceiling, of the open sky, and
-of the sun.
-Its unit is arbitrary: 1 is a well-lit floor.
+Irradiance is the sum of an even ambient part, of lamps, of a window to the sky in the ceiling, of the open sky and of
+the sun. Its unit is arbitrary: 1 is a well-lit floor.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene import Array
 
 DISPLAY_GAMMA = 2.2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Light:
-    """All light of a scene at one moment. Colors are linear RGB; a source left out is not there.
+    """All light of a scene at one moment; colors are linear RGB, and a source left out gives none.
 
     Attributes:
         ambient: (3,) light from all sides, after many reflections.
@@ -44,7 +43,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
-    """What one scan's camera does to the light that reaches it.
+    """How the camera of one scan records light.
 
     Attributes:
         gain: from radiance to the range [0, 1] of the sensor.
@@ -59,8 +58,8 @@ class Camera:
     noise: float = 0.012
 
 
-class Sight(Protocol):
-    """What stands in the way of light."""
+class Visibility(Protocol):
+    """Which places see each other."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
         """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
@@ -69,14 +68,14 @@ class Sight(Protocol):
         """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
 
 
-def irradiance(points: Array, normals: Array, light: Light, sight: Sight) -> Array:
+def irradiance(points: Array, normals: Array, light: Light, visibility: Visibility) -> Array:
     """The light that falls on surfaces; the sun, both skies and the strongest lamp at each point cast shadows.
 
     Args:
         points: (P, 3) meters, in the frame of the scene.
         normals: (P, 3) of unit length, on the visible side.
         light: the lamps, the sky and the sun.
-        sight: the scene, for the shadows.
+        visibility: of the scene, for the shadows.
 
     Returns:
         (P, 3) float64, linear RGB.
@@ -84,14 +83,36 @@ def irradiance(points: Array, normals: Array, light: Light, sight: Sight) -> Arr
     # Floors and what faces the lamps pass light on upwards; walls get the mean.
     total = light.ambient * (1 + 0.15 * normals[:, 2:])
     if len(light.lamps):
-        _add_lamps(total, points, normals, light, sight)
+        _add_lamps(total, points, normals, light, visibility)
     if light.sky_power.any():
-        sky = _from_above(points, normals, light.sky_center) * sight.reaches(points, light.sky_center)
+        sky = _from_above(points, normals, light.sky_center) * visibility.reaches(points, light.sky_center)
         total += sky[:, None] * light.sky_power
     if light.dome.any():
-        total += _open_sky(points, normals, sight)[:, None] * light.dome
-    sun = np.clip(normals @ light.sun_direction, 0, 1) * sight.escapes(points, light.sun_direction)
+        total += _open_sky(points, normals, visibility)[:, None] * light.dome
+    sun = np.clip(normals @ light.sun_direction, 0, 1) * visibility.escapes(points, light.sun_direction)
     return np.asarray(total + sun[:, None] * light.sun)
+
+
+def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.Generator, *, sunlit: float) -> Camera:
+    """A camera set for the light, with errors of its own in exposure, white balance and gamma.
+
+    Args:
+        light: what it is exposed for.
+        probes: (P, 3) meters, where the light is metered, facing up.
+        relight: the size of the errors; 0 makes all cameras in one light alike.
+        rng: the same draws whatever ``relight``.
+        sunlit: the share of the sun's light that is metered: little of a hall is sunlit.
+    """
+    up = np.broadcast_to((0.0, 0.0, 1.0), probes.shape)
+    sunless = replace(light, sun=np.zeros(3))
+    metered = irradiance(probes, up, sunless, _Unhindered()).mean(axis=0) + sunlit * light.sun  # (3,)
+    exposure, gamma = np.exp(relight * np.array([0.15, 0.06]) * rng.standard_normal(2))
+    balance = (metered.mean() / metered) ** 0.7  # cameras leave some of the tint
+    return Camera(
+        gain=float(1.1 * exposure / metered.mean()),
+        white_balance=balance * np.exp(0.05 * relight * rng.standard_normal(3)),
+        gamma=float(DISPLAY_GAMMA * gamma),
+    )
 
 
 def develop(radiance: Array, camera: Camera, rng: np.random.Generator) -> Array:
@@ -108,7 +129,7 @@ def linear(color: Array) -> Array:
     return np.asarray(color**DISPLAY_GAMMA)
 
 
-def _add_lamps(total: Array, points: Array, normals: Array, light: Light, sight: Sight) -> None:
+def _add_lamps(total: Array, points: Array, normals: Array, light: Light, visibility: Visibility) -> None:
     brightness = light.lamp_power.mean(axis=1)
     strongest, which = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
     for k, (position, power) in enumerate(zip(light.lamps, light.lamp_power, strict=True)):
@@ -116,7 +137,7 @@ def _add_lamps(total: Array, points: Array, normals: Array, light: Light, sight:
         total += share[:, None] * power
         which[share * brightness[k] > strongest] = k
         np.maximum(strongest, share * brightness[k], out=strongest)
-    shaded = ~sight.reaches(points, light.lamps[which])
+    shaded = ~visibility.reaches(points, light.lamps[which])
     total -= (0.8 * shaded * strongest / brightness[which])[:, None] * light.lamp_power[which]
 
 
@@ -131,13 +152,13 @@ def _from_above(points: Array, normals: Array, position: Array) -> Array:
     return np.asarray(facing * sent / (square * (square + 0.3)))
 
 
-def _open_sky(points: Array, normals: Array, sight: Sight) -> Array:
+def _open_sky(points: Array, normals: Array, visibility: Visibility) -> Array:
     """The part of an even sky's light that reaches surfaces, (P,); 1 on level ground in the open."""
     total = np.zeros(len(points))
     for way in _SKY_WAYS:
         facing = normals @ way
         rows = np.flatnonzero(facing > 0)
-        total[rows] += facing[rows] * sight.escapes(points[rows], way)
+        total[rows] += facing[rows] * visibility.escapes(points[rows], way)
     return np.asarray(total / _SKY_WAYS[:, 2].sum())
 
 
@@ -147,6 +168,16 @@ def _spread_over_sky(count: int) -> Array:
     around = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     flat = np.sqrt(1 - height**2)
     return np.stack((flat * np.cos(around), flat * np.sin(around), height), axis=1)
+
+
+class _Unhindered:
+    """Visibility where nothing stands in the way."""
+
+    def reaches(self, points: Array, goals: Array) -> Array:
+        return np.ones(len(points), dtype=bool)
+
+    def escapes(self, points: Array, way: Array) -> Array:
+        return np.ones(len(points), dtype=bool)
 
 
 _SKY_WAYS = _spread_over_sky(14)

@@ -1,21 +1,19 @@
-"""What surfaces look like: a color pattern laid over the texture coordinates of each quad.
+"""What surfaces look like: random colors, in patterns laid over the texture coordinates of each quad.
 
-Texture coordinates are meters on the surface, (0, 0) in the middle of a quad. A pattern needs no image: which
-color one of its cells has follows from an integer hash of the cell and of the surface's key.
+Colors are those of buildings and their contents: many grays and beiges, some muted tones, few strong ones. Texture
+coordinates are meters on the surface, (0, 0) in the middle of a quad. A pattern needs no image: the color of each of
+its cells follows from an integer hash of the cell and of the surface's key.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.palette import from_hsv
-
-PLAIN, TILES, PANELS, STRIPES, PLANKS, LETTERS, GOODS, POSTER, BRICKS, PATCHES = range(10)
+from torchreg.synthetic.scene import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +21,7 @@ class Paint:
     """The look of ``Q`` surfaces, one row each.
 
     Attributes:
-        pattern: (Q,) int64, one of the patterns of this module.
+        pattern: (Q,) int64, index of the name among ``_PATTERNS``.
         color: (Q, 3) sRGB in [0, 1], the color of most of the surface.
         accent: (Q, 3) sRGB in [0, 1], the second color of the pattern.
         scale: (Q,) meters, the size of a tile, letter, plank, good or block.
@@ -44,26 +42,12 @@ class Paint:
 
     def take(self, index: Array) -> Paint:
         """The rows ``index`` (P,) of this paint."""
-        return Paint(
-            self.pattern[index],
-            self.color[index],
-            self.accent[index],
-            self.scale[index],
-            self.glow[index],
-            self.key[index],
-        )
+        return Paint(*(getattr(self, field.name)[index] for field in fields(self)))
 
     @staticmethod
     def join(parts: Sequence[Paint]) -> Paint:
         """The rows of all parts, one after another."""
-        return Paint(
-            np.concatenate([part.pattern for part in parts]),
-            np.concatenate([part.color for part in parts]),
-            np.concatenate([part.accent for part in parts]),
-            np.concatenate([part.scale for part in parts]),
-            np.concatenate([part.glow for part in parts]),
-            np.concatenate([part.key for part in parts]),
-        )
+        return Paint(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paint)))
 
 
 def paint(
@@ -72,7 +56,7 @@ def paint(
     accent: npt.ArrayLike | None = None,
     *,
     count: int | None = None,
-    pattern: int = PLAIN,
+    pattern: str = "plain",
     scale: float = 0.5,
     glow: float = 0.0,
 ) -> Paint:
@@ -83,13 +67,14 @@ def paint(
         color: sRGB, (3,) for all surfaces or (Q, 3).
         accent: the pattern's second color, as ``color``; ``None`` is a darker shade of it.
         count: how many surfaces, ``Q``; ``None`` is the number of rows of ``color``.
-        pattern, scale, glow: of all surfaces, see ``Paint``.
+        pattern: of all surfaces, a name in ``_PATTERNS``.
+        scale, glow: of all surfaces, see ``Paint``.
     """
     color = np.atleast_2d(np.asarray(color, dtype=np.float64))
     count = len(color) if count is None else count
     accent = 0.85 * color if accent is None else np.asarray(accent, dtype=np.float64)
     return Paint(
-        pattern=np.full(count, pattern),
+        pattern=np.full(count, list(_PATTERNS).index(pattern)),
         color=np.broadcast_to(color, (count, 3)),
         accent=np.broadcast_to(accent, (count, 3)),
         scale=np.full(count, scale),
@@ -98,26 +83,62 @@ def paint(
     )
 
 
-def albedo(look: Paint, uv: Array) -> Array:
+def vivid(rng: np.random.Generator, count: int = 1) -> Array:
+    """Strong colors, (count, 3) sRGB."""
+    hue, saturation, value = rng.random(count), rng.uniform(0.6, 0.95, count), rng.uniform(0.45, 0.95, count)
+    return from_hsv(hue, saturation, value)
+
+
+def neutral(rng: np.random.Generator, low: float = 0.6, high: float = 0.92, count: int = 1) -> Array:
+    """Whites, grays and beiges, (count, 3) sRGB."""
+    hue, saturation = rng.uniform(0.05, 0.17, count), 0.25 * rng.random(count) ** 2
+    return from_hsv(hue, saturation, rng.uniform(low, high, count))
+
+
+def muted(rng: np.random.Generator, count: int = 1) -> Array:
+    """Colors of walls, carpets and stone that are colored at all, half of them warm; (count, 3) sRGB."""
+    hue = np.where(rng.random(count) < 0.5, rng.uniform(0.0, 0.15, count), rng.random(count))
+    return from_hsv(hue, rng.uniform(0.2, 0.55, count), rng.uniform(0.4, 0.85, count))
+
+
+def plain_or_muted(rng: np.random.Generator, share: float) -> Array:
+    """One color (1, 3): muted with the probability ``share``, else neutral."""
+    return muted(rng) if rng.random() < share else neutral(rng, 0.75, 0.95)
+
+
+def wares(rng: np.random.Generator, count: int) -> Array:
+    """Colors of goods, (count, 3) sRGB: a third of them vivid, the others pale, gray or dark."""
+    strong = rng.random((count, 1)) < 0.35
+    return np.asarray(np.where(strong, vivid(rng, count), neutral(rng, 0.12, 0.95, count)))
+
+
+def from_hsv(hue: Array, saturation: Array, value: Array) -> Array:
+    """RGB (P, 3) in [0, 1] of hue, saturation and value (P,) in [0, 1]."""
+    sector = (hue[:, None] * 6 + np.array([5.0, 3.0, 1.0])) % 6  # (P, 3)
+    ramp = np.clip(np.minimum(sector, 4 - sector), 0, 1)
+    return np.asarray(value[:, None] * (1 - saturation[:, None] * ramp))
+
+
+def albedo(paint: Paint, uv: Array) -> Array:
     """The color of surfaces at points on them.
 
     Args:
-        look: ``P`` rows, the paint at each point.
+        paint: ``P`` rows, the paint at each point.
         uv: (P, 2) meters, where on its surface each point lies.
 
     Returns:
         (P, 3) float64, sRGB in [0, 1].
     """
-    color = look.color.copy()
-    for pattern, draw in _PATTERNS.items():
-        rows = np.flatnonzero(look.pattern == pattern)
-        if len(rows):
-            color[rows] = draw(look.take(rows), uv[rows])
+    color = paint.color.copy()
+    for pattern, draw in enumerate(_PATTERNS.values()):
+        rows = np.flatnonzero(paint.pattern == pattern)
+        if draw is not None and len(rows):
+            color[rows] = draw(paint.take(rows), uv[rows])
     # No real surface is of one color: stains as wide as a step, and grain.
     u, v = uv[:, 0], uv[:, 1]
-    phase = look.key % 628 / 100
+    phase = paint.key % 628 / 100
     stain = 0.03 * np.sin(1.7 * u + phase) * np.sin(2.3 * v + 2 * phase)
-    grain = 0.04 * (_hash(_cell(u, 0.02), _cell(v, 0.02), look.key) - 0.5)
+    grain = 0.04 * (_hash(_cell(u, 0.02), _cell(v, 0.02), paint.key) - 0.5)
     return np.clip(color * (1 + stain + grain)[:, None], 0, 1)
 
 
@@ -137,88 +158,89 @@ def _choose(where: Array, yes: Array, no: Array) -> Array:
     return np.asarray(np.where(where[:, None], yes, no))
 
 
-def _tiles(look: Paint, uv: Array) -> Array:
-    i, j = _cell(uv[:, 0], look.scale), _cell(uv[:, 1], look.scale)
-    tile = _choose((i + j) % 2 == 0, look.color, look.accent) * (0.94 + 0.12 * _hash(i, j, look.key))[:, None]
-    return _choose(_on_joint(look, uv, 0.008), 0.5 * look.color, tile)
+def _tiles(paint: Paint, uv: Array) -> Array:
+    i, j = _cell(uv[:, 0], paint.scale), _cell(uv[:, 1], paint.scale)
+    tile = _choose((i + j) % 2 == 0, paint.color, paint.accent) * (0.94 + 0.12 * _hash(i, j, paint.key))[:, None]
+    return _choose(_on_joint(paint, uv, 0.008), 0.5 * paint.color, tile)
 
 
-def _panels(look: Paint, uv: Array) -> Array:
-    return _choose(_on_joint(look, uv, 0.015), look.accent, look.color)
+def _panels(paint: Paint, uv: Array) -> Array:
+    return _choose(_on_joint(paint, uv, 0.015), paint.accent, paint.color)
 
 
-def _on_joint(look: Paint, uv: Array, width: float) -> Array:
-    return np.asarray((uv % look.scale[:, None] < width).any(axis=1))
+def _on_joint(paint: Paint, uv: Array, width: float) -> Array:
+    return np.asarray((uv % paint.scale[:, None] < width).any(axis=1))
 
 
-def _stripes(look: Paint, uv: Array) -> Array:
-    return _choose(_cell(uv[:, 1], look.scale) % 2 == 0, look.color, look.accent)
+def _stripes(paint: Paint, uv: Array) -> Array:
+    return _choose(_cell(uv[:, 1], paint.scale) % 2 == 0, paint.color, paint.accent)
 
 
-def _planks(look: Paint, uv: Array) -> Array:
-    plank = _cell(uv[:, 1], look.scale)
-    shift = 5 * look.scale * _hash(plank, plank, look.key)
-    tone = 0.75 + 0.4 * _hash(_cell(uv[:, 0] + shift, 9 * look.scale), plank, look.key)
-    return np.asarray(look.color * tone[:, None])
+def _planks(paint: Paint, uv: Array) -> Array:
+    plank = _cell(uv[:, 1], paint.scale)
+    shift = 5 * paint.scale * _hash(plank, plank, paint.key)
+    tone = 0.75 + 0.4 * _hash(_cell(uv[:, 0] + shift, 9 * paint.scale), plank, paint.key)
+    return np.asarray(paint.color * tone[:, None])
 
 
-def _letters(look: Paint, uv: Array) -> Array:
+def _letters(paint: Paint, uv: Array) -> Array:
     """One line of letters along the middle; each is a random 3 x 5 bitmap with a gap behind it."""
-    dot = look.scale / 5
-    i, j = _cell(uv[:, 0], dot), _cell(uv[:, 1] + look.scale / 2, dot)
-    inked = (i % 4 < 3) & (j >= 0) & (j < 5) & (_hash(i, j, look.key) < 0.65)
-    return _choose(inked, look.accent, look.color)
+    dot = paint.scale / 5
+    i, j = _cell(uv[:, 0], dot), _cell(uv[:, 1] + paint.scale / 2, dot)
+    inked = (i % 4 < 3) & (j >= 0) & (j < 5) & (_hash(i, j, paint.key) < 0.65)
+    return _choose(inked, paint.accent, paint.color)
 
 
-def _goods(look: Paint, uv: Array) -> Array:
+def _goods(paint: Paint, uv: Array) -> Array:
     """Packages side by side, each of its own color with a paler label."""
-    size = np.stack((look.scale, 1.4 * look.scale), axis=1)
+    size = np.stack((paint.scale, 1.4 * paint.scale), axis=1)
     i, j = _cell(uv[:, 0], size[:, 0]), _cell(uv[:, 1], size[:, 1])
-    hue, saturation, value = (_hash(i, j, look.key + shift) for shift in (1, 2, 3))
+    hue, saturation, value = (_hash(i, j, paint.key + shift) for shift in (1, 2, 3))
     package = from_hsv(hue, 0.9 * saturation, 0.3 + 0.65 * value)
     label = (np.abs(uv / size % 1 - 0.5) < 0.25).all(axis=1)
     return _choose(label, 0.5 + 0.5 * package, package)
 
 
-def _poster(look: Paint, uv: Array) -> Array:
+def _poster(paint: Paint, uv: Array) -> Array:
     """Blocks of four tones with soft shading, as a large photograph has them from far."""
-    i, j = _cell(uv[:, 0] + 0.4 * uv[:, 1], look.scale), _cell(uv[:, 1], 0.7 * look.scale)
-    which = (4 * _hash(i, j, look.key)).astype(np.int64)
-    tones = (look.color, look.accent, 0.5 * look.color, 0.5 + 0.5 * look.accent)
+    i, j = _cell(uv[:, 0] + 0.4 * uv[:, 1], paint.scale), _cell(uv[:, 1], 0.7 * paint.scale)
+    which = (4 * _hash(i, j, paint.key)).astype(np.int64)
+    tones = (paint.color, paint.accent, 0.5 * paint.color, 0.5 + 0.5 * paint.accent)
     block = np.stack(tones, axis=1)[np.arange(len(which)), which]  # (P, 3)
-    return np.asarray(block * (0.75 + 0.25 * (uv[:, :1] / look.scale[:, None] % 1)))
+    return np.asarray(block * (0.75 + 0.25 * (uv[:, :1] / paint.scale[:, None] % 1)))
 
 
-def _bricks(look: Paint, uv: Array) -> Array:
+def _bricks(paint: Paint, uv: Array) -> Array:
     """Courses of bricks three times as long as high, each of its own tone, with joints of the accent."""
-    course = _cell(uv[:, 1], look.scale)
-    u = uv[:, 0] + 1.5 * look.scale * (course % 2)
-    tone = 0.85 + 0.3 * _hash(_cell(u, 3 * look.scale), course, look.key)
-    joint = (u % (3 * look.scale) < 0.012) | (uv[:, 1] % look.scale < 0.012)
-    return _choose(joint, look.accent, look.color * tone[:, None])
+    course = _cell(uv[:, 1], paint.scale)
+    u = uv[:, 0] + 1.5 * paint.scale * (course % 2)
+    tone = 0.85 + 0.3 * _hash(_cell(u, 3 * paint.scale), course, paint.key)
+    joint = (u % (3 * paint.scale) < 0.012) | (uv[:, 1] % paint.scale < 0.012)
+    return _choose(joint, paint.accent, paint.color * tone[:, None])
 
 
-def _patches(look: Paint, uv: Array) -> Array:
+def _patches(paint: Paint, uv: Array) -> Array:
     """Both colors run into each other in patches of several sizes, as in a lawn or in worn asphalt."""
     weight = np.zeros(len(uv))
     for octave, share in enumerate((0.5, 0.3, 0.2)):
-        size = look.scale / 2**octave
+        size = paint.scale / 2**octave
         x, y = uv[:, 0] / size, uv[:, 1] / size
         i, j = _cell(x, 1.0), _cell(y, 1.0)
         s, t = (3 * r**2 - 2 * r**3 for r in (x - i, y - j))
-        near, far = ((1 - s) * _hash(i, j + k, look.key) + s * _hash(i + 1, j + k, look.key) for k in (0, 1))
+        near, far = ((1 - s) * _hash(i, j + k, paint.key) + s * _hash(i + 1, j + k, paint.key) for k in (0, 1))
         weight += share * ((1 - t) * near + t * far)
-    return np.asarray(look.color + weight[:, None] * (look.accent - look.color))
+    return np.asarray(paint.color + weight[:, None] * (paint.accent - paint.color))
 
 
-_PATTERNS = {
-    TILES: _tiles,
-    PANELS: _panels,
-    STRIPES: _stripes,
-    PLANKS: _planks,
-    LETTERS: _letters,
-    GOODS: _goods,
-    POSTER: _poster,
-    BRICKS: _bricks,
-    PATCHES: _patches,
+_PATTERNS: dict[str, Callable[[Paint, Array], Array] | None] = {
+    "plain": None,
+    "tiles": _tiles,
+    "panels": _panels,
+    "stripes": _stripes,
+    "planks": _planks,
+    "letters": _letters,
+    "goods": _goods,
+    "poster": _poster,
+    "bricks": _bricks,
+    "patches": _patches,
 }

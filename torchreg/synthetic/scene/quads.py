@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.paint import Paint
 
 
@@ -49,33 +49,35 @@ class Quads:
         )
 
 
-def rectangles(center: npt.ArrayLike, edge_u: npt.ArrayLike, edge_v: npt.ArrayLike, look: Paint) -> Quads:
+def rectangles(center: npt.ArrayLike, edge_u: npt.ArrayLike, edge_v: npt.ArrayLike, paint: Paint) -> Quads:
     """``N`` rectangles from their centers and full edge vectors, each (N, 3) or (3,)."""
-    shape = (len(look), 3)
+    shape = (len(paint), 3)
     middle, across, along = (np.broadcast_to(value, shape) for value in (center, edge_u, edge_v))
     half = 0.5 * _RING  # (4, 2)
     corners = middle[:, None] + half[:, :1] * across[:, None] + half[:, 1:] * along[:, None]  # (N, 4, 3)
     lengths = np.stack((np.linalg.norm(across, axis=1), np.linalg.norm(along, axis=1)), axis=1)
-    return Quads(corners, half * lengths[:, None], look)
+    return Quads(corners, half * lengths[:, None], paint)
 
 
-def boxes(center: npt.ArrayLike, size: npt.ArrayLike, look: Paint, yaw: npt.ArrayLike = 0.0) -> Quads:
+def boxes(center: npt.ArrayLike, size: npt.ArrayLike, paint: Paint, yaw: npt.ArrayLike = 0.0) -> Quads:
     """``N`` boxes from their centers and full sizes, each (N, 3) or (3,), and yaw (N,) in radians."""
-    count = len(look)
+    count = len(paint)
     center, size = np.broadcast_to(center, (count, 3)), np.broadcast_to(size, (count, 3))
     local = _BOX * size[:, None, None]  # (N, 6, 4, 3)
     rotation = yaw_rotation(np.broadcast_to(yaw, (count,)))
     corners = np.einsum("nij,nfcj->nfci", rotation, local) + center[:, None, None]
     lengths = np.stack((np.abs(size @ _BOX_U.T), np.abs(size @ _BOX_V.T)), axis=2)  # (N, 6, 2)
     uv = 0.5 * _RING * lengths[:, :, None]  # (N, 6, 4, 2)
-    painted = look.take(np.repeat(np.arange(count), 6))
+    painted = paint.take(np.repeat(np.arange(count), 6))
     painted = replace(painted, key=painted.key + np.tile(np.arange(6), count))  # no two faces alike
     return Quads(corners.reshape(-1, 4, 3), uv.reshape(-1, 4, 2), painted)
 
 
-def cylinders(base: npt.ArrayLike, radius: npt.ArrayLike, height: npt.ArrayLike, look: Paint, sides: int = 32) -> Quads:
+def cylinders(
+    base: npt.ArrayLike, radius: npt.ArrayLike, height: npt.ArrayLike, paint: Paint, sides: int = 32
+) -> Quads:
     """``N`` closed upright cylinders from the centers of their bases (N, 3), radii and heights (N,)."""
-    count = len(look)
+    count = len(paint)
     base = np.broadcast_to(base, (count, 3))[:, None]
     radius, height = np.broadcast_to(radius, (count,)), np.broadcast_to(height, (count,))
     angle = np.linspace(-np.pi, np.pi, sides + 1)
@@ -97,13 +99,13 @@ def cylinders(base: npt.ArrayLike, radius: npt.ArrayLike, height: npt.ArrayLike,
     around = angle[_STEP[:, 0] + np.arange(sides)[:, None]]  # (sides, 4)
     uv[:, :sides, :, 0] = radius[:, None, None] * around
     uv[:, :sides, :, 1] = height[:, None, None] * (_STEP[:, 1] - 0.5)
-    painted = look.take(np.repeat(np.arange(count), 3 * sides))
+    painted = paint.take(np.repeat(np.arange(count), 3 * sides))
     return Quads(corners.reshape(-1, 4, 3), uv.reshape(-1, 4, 2), painted)
 
 
-def balls(center: npt.ArrayLike, radii: npt.ArrayLike, look: Paint, sides: int = 16) -> Quads:
+def balls(center: npt.ArrayLike, radii: npt.ArrayLike, paint: Paint, sides: int = 16) -> Quads:
     """``N`` ellipsoids from their centers and half axes, each (N, 3) or (3,)."""
-    count, rows = len(look), sides // 2
+    count, rows = len(paint), sides // 2
     center, radii = np.broadcast_to(center, (count, 3)), np.broadcast_to(radii, (count, 3))
     longitude = np.linspace(-np.pi, np.pi, sides + 1)
     latitude = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)[:, None]
@@ -115,11 +117,11 @@ def balls(center: npt.ArrayLike, radii: npt.ArrayLike, look: Paint, sides: int =
     i, j = i + _STEP[:, 1], j + _STEP[:, 0]  # (rows * sides, 4)
     corners = center[:, None, None] + radii[:, None, None] * unit[i, j]
     uv = radii.mean(axis=1)[:, None, None, None] * angles[i, j]
-    painted = look.take(np.repeat(np.arange(count), rows * sides))
+    painted = paint.take(np.repeat(np.arange(count), rows * sides))
     return Quads(corners.reshape(-1, 4, 3), uv.reshape(-1, 4, 2), painted)
 
 
-def prism(profile: npt.ArrayLike, width: float, look: Paint) -> Quads:
+def prism(profile: npt.ArrayLike, width: float, paint: Paint) -> Quads:
     """A convex profile (K, 2) in the xz plane, meters, drawn out along y to ``width`` about the plane; one paint."""
     side = np.insert(np.asarray(profile, dtype=np.float64), 1, 0.0, axis=1)  # (K, 3)
     half = np.array([0.0, width / 2, 0.0])
@@ -131,7 +133,7 @@ def prism(profile: npt.ArrayLike, width: float, look: Paint) -> Quads:
     fan = np.array([(0, k, k + 1, k + 1) for k in range(1, len(side) - 1)])
     corners = np.concatenate((around, near[fan], far[fan]))  # (3K - 4, 4, 3)
     uv = np.concatenate((around_uv, side[fan][..., [0, 2]], side[fan][..., [0, 2]]))
-    return Quads(corners, uv, look.take(np.zeros(len(corners), dtype=np.int64)))
+    return Quads(corners, uv, paint.take(np.zeros(len(corners), dtype=np.int64)))
 
 
 def up(height: float) -> Array:

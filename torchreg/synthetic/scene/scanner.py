@@ -8,19 +8,20 @@ and return a point between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.open3d_loader import load_open3d
+from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.light import Camera, Light, develop, irradiance, linear
 from torchreg.synthetic.scene.paint import albedo
 from torchreg.synthetic.scene.quads import Quads, yaw_rotation
-from torchreg.synthetic.scene.raycast import Raycaster
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scanner:
-    """What a scanner can do.
+class LaserScanner:
+    """Abilities of a scanner.
 
     Attributes:
         angular_step: degrees between neighboring rays, in azimuth and in elevation.
@@ -32,7 +33,7 @@ class Scanner:
         depth_edge: meters between neighboring rays from which on they count as a depth edge.
     """
 
-    angular_step: float
+    angular_step: float = 0.4
     lowest: float = -60.0
     highest: float = 90.0
     min_range: float = 0.6
@@ -61,7 +62,7 @@ def scan(
     light: Light,
     camera: Camera,
     T_world_scanner: Array,
-    scanner: Scanner,
+    scanner: LaserScanner,
     seed: tuple[int, ...],
 ) -> Scan:
     """Scan a scene from one station.
@@ -92,9 +93,9 @@ def scan(
     normals = np.where(cosine[:, None] < 0, -normals, normals)
     cosine = np.abs(cosine)
     places = station + reach[:, None] * ways + 2e-3 * normals
-    look = quads.paint.take(quad)
-    surface = linear(albedo(look, uv))
-    radiance = surface * (irradiance(places, normals, light, caster) + look.glow[:, None])
+    paint = quads.paint.take(quad)
+    surface = linear(albedo(paint, uv))
+    radiance = surface * (irradiance(places, normals, light, caster) + paint.glow[:, None])
 
     came_back = hit & _strong_enough(scanner.sensitivity * (0.15 + surface.mean(axis=1)) * cosine, reach, rng)
     came_back &= (reach >= scanner.min_range) & (reach <= scanner.max_range)
@@ -106,7 +107,7 @@ def scan(
     return Scan(ranges[came_back, None] * rays[came_back], colors[came_back])
 
 
-def ray_directions(scanner: Scanner) -> Array:
+def ray_directions(scanner: LaserScanner) -> Array:
     """Unit vectors (E, A, 3) in the scanner's frame: rows of elevation from below, columns of azimuth."""
     azimuth = np.deg2rad(np.arange(0.0, 360.0 - 1e-9, scanner.angular_step))
     elevation = np.arange(scanner.lowest, scanner.highest + 1e-9, scanner.angular_step)
@@ -134,6 +135,47 @@ def pose(position: Array, yaw: float, tilt: float, tilt_heading: float) -> Array
     return T_world_scanner
 
 
+class Raycaster:
+    """Rays and lines of sight among quads, by Open3D's RaycastingScene (Embree)."""
+
+    def __init__(self, quads: Quads) -> None:
+        self._core: Any = load_open3d().core
+        self._scene: Any = load_open3d().t.geometry.RaycastingScene()
+        self._uv = quads.uv
+        first = 4 * np.arange(len(quads))[:, None, None]
+        triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)  # (2Q, 3)
+        corners = np.ascontiguousarray(quads.corners.reshape(-1, 3), dtype=np.float32)
+        triangles = np.ascontiguousarray(triangles, dtype=np.uint32)
+        self._scene.add_triangles(self._core.Tensor(corners), self._core.Tensor(triangles))
+
+    def cast(self, origin: Array, ways: Array) -> tuple[Array, Array, Array, Array]:
+        """Ranges (P,), inf for a miss; quad hit (P,); texture coordinates (P, 2); unit normals (P, 3)."""
+        answer = self._scene.cast_rays(self._rays(origin, ways))
+        reach = answer["t_hit"].numpy().astype(np.float64)
+        triangle = np.where(np.isfinite(reach), answer["primitive_ids"].numpy(), 0).astype(np.int64)
+        quad = triangle // 2
+        b, c = answer["primitive_uvs"].numpy().astype(np.float64).T[:, :, None]
+        second = (triangle % 2)[:, None] == 1
+        corner = self._uv[quad]  # (P, 4, 2)
+        middle, last = (np.where(second, corner[:, k + 1], corner[:, k]) for k in (1, 2))
+        uv = (1 - b - c) * corner[:, 0] + b * middle + c * last
+        return reach, quad, uv, answer["primitive_normals"].numpy().astype(np.float64)
+
+    def reaches(self, points: Array, goals: Array) -> Array:
+        """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
+        occluded = self._scene.test_occlusions(self._rays(points, goals - points), tnear=0.0, tfar=0.98)
+        return ~np.asarray(occluded.numpy())
+
+    def escapes(self, points: Array, way: Array) -> Array:
+        """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
+        return ~np.asarray(self._scene.test_occlusions(self._rays(points, way)).numpy())
+
+    def _rays(self, origins: Array, ways: Array) -> Any:  # noqa: ANN401  # an Open3D tensor
+        shape = np.broadcast_shapes(origins.shape, ways.shape)
+        rays = np.concatenate((np.broadcast_to(origins, shape), np.broadcast_to(ways, shape)), axis=1)
+        return self._core.Tensor(np.ascontiguousarray(rays, dtype=np.float32))
+
+
 def _strong_enough(returned: Array, reach: Array, rng: np.random.Generator) -> Array:
     """Whether enough light comes back, (P,) bool: little does from far, dark and slanted surfaces."""
     strength = returned * (20 / np.clip(reach, 5, None)) ** 2
@@ -146,7 +188,7 @@ def _mix_at_edges(
     radiance: Array,
     came_back: Array,
     grid: tuple[int, ...],
-    scanner: Scanner,
+    scanner: LaserScanner,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Blend a share of the rays with their neighbor in azimuth, where the two differ in depth."""

@@ -1,16 +1,14 @@
-"""Light between a cloudy and a sunny day, in a hall and in the open, and how a camera is set for it."""
+"""Light between a cloudy and a sunny day, indoors and in the open."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.light import DISPLAY_GAMMA, Camera, Light, irradiance
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.light import Light
 
 
-def hall_light(
+def indoor_light(
     lamps: Array,
     lamp_power: Array,
     sky_center: Array,
@@ -18,7 +16,7 @@ def hall_light(
     weather: float,
     rng: np.random.Generator,
 ) -> Light:
-    """Lamps and daylight.
+    """Lamps, and daylight through a window in the ceiling.
 
     On a sunny day the sun falls through the skylight, the sky sends more light, and the lamps are dimmed; on
     a cloudy day the sky is weaker and bluer, and the lamps are up.
@@ -67,38 +65,3 @@ def daylight(weather: float, rng: np.random.Generator) -> Light:
         sun=2.2 * bright * np.array([1.0, 0.94, 0.84]),
         dome=0.8 * 2 ** (-0.3 * weather) * blue,
     )
-
-
-def exposed_camera(
-    light: Light, probes: Array, relight: float, rng: np.random.Generator, sunlit: float = 0.1
-) -> Camera:
-    """A camera whose exposure and white balance follow the light, with errors of its own.
-
-    Args:
-        light: what it is exposed for.
-        probes: (P, 3) meters, where the light is metered, facing up.
-        relight: the size of the errors in exposure, white balance and gamma; 0 makes all cameras in one
-            light alike.
-        rng: the same draws whatever ``relight``.
-        sunlit: the share of the sun's light that counts, as little is sunlit in a hall.
-    """
-    up = np.broadcast_to((0.0, 0.0, 1.0), probes.shape)
-    sunless = replace(light, sun=np.zeros(3))
-    metered = irradiance(probes, up, sunless, _Unhindered()).mean(axis=0) + sunlit * light.sun  # (3,)
-    exposure, gamma = np.exp(relight * np.array([0.15, 0.06]) * rng.standard_normal(2))
-    balance = (metered.mean() / metered) ** 0.7  # cameras leave some of the tint
-    return Camera(
-        gain=float(1.1 * exposure / metered.mean()),
-        white_balance=balance * np.exp(0.05 * relight * rng.standard_normal(3)),
-        gamma=float(DISPLAY_GAMMA * gamma),
-    )
-
-
-class _Unhindered:
-    """Every lamp and all of the sky are seen."""
-
-    def reaches(self, points: Array, goals: Array) -> Array:
-        return np.ones(len(points), dtype=bool)
-
-    def escapes(self, points: Array, way: Array) -> Array:
-        return np.ones(len(points), dtype=bool)

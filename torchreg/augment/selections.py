@@ -1,15 +1,60 @@
-"""Changes of density: fewer points far from the scanner, or one point in every cube of a grid."""
+"""Choices of points: a crop to a region, a thinning far from the scanner, one point in every cube of a grid."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 
 from torchreg.augment.augmentation import Augmentation, Tracked, checked_range, uniform, unmoved
-from torchreg.augment.rows import count_of, kept_rows
-from torchreg.errors import expect, positive
+from torchreg.errors import expect, one_of, positive
 from torchreg.types import Clouds
 from torchreg.types.packing import offsets_of
+
+_MOST_CUBES = 1 << 20  # along an axis
+
+
+class RandomCrop(Augmentation):
+    """Keeps the points in a random region, and exactly the share drawn: ``ceil(share * points)``, at least one.
+
+    A plane lies across a random direction; a box and a sphere lie about a random point of the cloud, the box turned at
+    random about z, with edges of random proportions between 1 and 2. Rows keep their order; of points equally far,
+    the first stay. Gradients flow to the values of the rows that stay. Nothing is read back from the device.
+
+    Args:
+        keep: the share of points that stays is drawn evenly from this range, in [0, 1].
+        shape: ``"plane"``, ``"box"`` or ``"sphere"``.
+        probability: as for ``Augmentation``.
+        generator: as for ``Augmentation``.
+
+    Raises:
+        ValueError: an argument out of its range.
+
+    Example:
+        >>> crop = RandomCrop(keep=(0.5, 0.5), shape="sphere")
+        >>> crop(Clouds(torch.rand(100, 3))).lengths
+        [50]
+    """
+
+    def __init__(
+        self,
+        *,
+        keep: tuple[float, float] = (0.6, 1.0),
+        shape: str = "plane",
+        probability: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__(probability=probability, generator=generator)
+        self.keep = checked_range(keep, "keep", 0, 1)
+        self.shape = one_of(shape, "shape", tuple(_DEPTHS))
+        self._depth = _DEPTHS[self.shape]
+
+    def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
+        """Keep the points nearest to the middle of the region, or farthest on one side of the plane."""
+        count = _count_of(uniform(*self.keep, draw), len(cloud.points))
+        depth = self._depth(cloud.points.detach().double(), draw)
+        return Tracked(_kept_rows(cloud, depth, count), unmoved(cloud))
 
 
 class RandomThin(Augmentation):
@@ -48,17 +93,13 @@ class RandomThin(Augmentation):
         self.falloff = checked_range(falloff, "falloff", 0, 4)
 
     def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
-        """The cloud with the points that were drawn."""
-        count = count_of(uniform(*self.keep, draw), len(cloud.points))
+        """Keep the points drawn."""
+        count = _count_of(uniform(*self.keep, draw), len(cloud.points))
         falloff = uniform(*self.falloff, draw)
         waiting = torch.empty(len(cloud.points), dtype=torch.float64).exponential_(generator=draw)
         square = (cloud.points.detach().double() - _scanner(cloud)).square().sum(dim=1).clamp_min(1e-12)
         arrival = waiting.to(cloud.device).log() + 0.5 * falloff * square.log()
-        return Tracked(kept_rows(cloud, arrival, count), unmoved(cloud))
-
-    def extra_repr(self) -> str:
-        """What ``print`` shows."""
-        return f"keep={self.keep}, falloff={self.falloff}, probability={self.probability}"
+        return Tracked(_kept_rows(cloud, arrival, count), unmoved(cloud))
 
 
 class RandomVoxels(Augmentation):
@@ -93,7 +134,7 @@ class RandomVoxels(Augmentation):
             positive(edge, "voxel_size")
 
     def one(self, cloud: Clouds, draw: torch.Generator) -> Tracked:
-        """The cloud with one point a cube."""
+        """Keep one point a cube."""
         size = uniform(*self.voxel_size, draw)
         start = torch.rand(3, generator=draw, dtype=torch.float64).to(cloud.device)
         shuffled = torch.randperm(len(cloud.points), generator=draw).to(cloud.device)
@@ -104,9 +145,40 @@ class RandomVoxels(Augmentation):
         index = shuffled[order[first]].sort().values
         return Tracked(cloud.rows(index, offsets_of([len(index)])), unmoved(cloud))
 
-    def extra_repr(self) -> str:
-        """What ``print`` shows."""
-        return f"voxel_size={self.voxel_size}, probability={self.probability}"
+
+def _count_of(share: float, points: int) -> int:
+    """Number of points in a share of them, rounded up: at least 1 of a cloud that has any."""
+    return min(points, max(1, math.ceil(share * points)))
+
+
+def _kept_rows(cloud: Clouds, rank: Tensor, count: int) -> Clouds:
+    """The ``count`` rows of one cloud with the least rank (P,), in the order they came in; ties go to the first."""
+    if count == len(cloud.points):
+        return cloud
+    index = rank.argsort(stable=True)[:count].sort().values
+    return cloud.rows(index, offsets_of([count]))
+
+
+def _along_direction(points: Tensor, draw: torch.Generator) -> Tensor:
+    way = torch.nn.functional.normalize(torch.randn(3, generator=draw, dtype=torch.float64), dim=0)
+    return (points * way.to(points.device)).sum(dim=1)
+
+
+def _from_point(points: Tensor, draw: torch.Generator) -> Tensor:
+    return _about_point(points, draw).square().sum(dim=1)
+
+
+def _in_boxes(points: Tensor, draw: torch.Generator) -> Tensor:
+    away = _about_point(points, draw)
+    yaw, edges = uniform(-math.pi, math.pi, draw), 1 + torch.rand(3, generator=draw, dtype=torch.float64)
+    x, y, z = away.unbind(1)
+    turned = torch.stack([math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y, z], dim=1)
+    return (turned.abs() / edges.to(points.device)).amax(dim=1)
+
+
+def _about_point(points: Tensor, draw: torch.Generator) -> Tensor:
+    row = torch.randint(len(points), (1,), generator=draw).to(points.device)
+    return points - points[row]
 
 
 def _scanner(cloud: Clouds) -> Tensor:
@@ -127,4 +199,4 @@ def _cube(points: Tensor, size: float, start: Tensor) -> Tensor:
     return (x * _MOST_CUBES + y) * _MOST_CUBES + z
 
 
-_MOST_CUBES = 1 << 20
+_DEPTHS = {"plane": _along_direction, "box": _in_boxes, "sphere": _from_point}

@@ -1,6 +1,6 @@
-"""Buildings of two to four floors: windows set back between piers, balconies, a door under a canopy, a roof.
+"""Houses of two to four floors: windows set back between piers, balconies, a door under a canopy, a roof.
 
-A building is made about the middle of the foot of its front, x along the front, which faces -y, z up.
+A house is made about the middle of the foot of its front, x along the front, which faces -y, z up.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import BRICKS, LETTERS, PANELS, PLAIN, STRIPES, Paint, paint
-from torchreg.synthetic.scene.palette import from_hsv, muted, neutral, plain_or_muted, vivid
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import Paint, from_hsv, muted, neutral, paint, plain_or_muted, vivid
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, prism, rectangles
 
 _RECESS = 0.22  # meters that the panes lie behind the front
@@ -45,8 +44,8 @@ class _Front:
         return np.array([(x, 0, height) for height in z for x in self.x])
 
 
-def building(rng: np.random.Generator, length: float, depth: float) -> Quads:
-    """A building of this length along its front and this depth, meters."""
+def house(rng: np.random.Generator, length: float, depth: float) -> Quads:
+    """A house of this length along its front and this depth, meters."""
     floor = rng.uniform(3.0, 3.6)
     columns = int(length / rng.uniform(2.4, 3.6))
     front = _Front(
@@ -57,15 +56,15 @@ def building(rng: np.random.Generator, length: float, depth: float) -> Quads:
         window=(rng.uniform(0.45, 0.72) * length / columns, rng.uniform(0.42, 0.6) * floor),
         sill=rng.uniform(0.7, 1.0),
     )
-    look = _wall_paint(rng)
+    wall = _wall_paint(rng)
     door = int(rng.integers(columns))
-    parts = [_wall(front, look), _body(front, depth, rng), _roof(front, depth, rng)]
+    parts = [_wall(front, wall), _body(front, depth, rng), _roof(front, depth, rng)]
     parts += [_windows(front, rng), _entrance(front.x[door], rng), _pipes(front, rng)]
     if rng.random() < 0.45:
         parts.append(_balconies(front, rng))
     if rng.random() < 0.5:
         ground, letters = (vivid(rng), neutral(rng)) if rng.random() < 0.5 else (neutral(rng), vivid(rng))
-        board = paint(rng, ground, letters, pattern=LETTERS, scale=0.5)
+        board = paint(rng, ground, letters, pattern="letters", scale=0.5)
         parts.append(boxes((0.2 * length * rng.uniform(-1, 1), -0.06, floor), (0.25 * length, 0.1, 0.6), board))
     return Quads.join(parts)
 
@@ -75,12 +74,12 @@ def _wall_paint(rng: np.random.Generator) -> Paint:
     kind = rng.random()
     if kind < 0.35:
         brick = from_hsv(rng.uniform(0.01, 0.07, 1), rng.uniform(0.4, 0.65, 1), rng.uniform(0.45, 0.65, 1))
-        return paint(rng, brick, 0.5 * brick + 0.5 * neutral(rng, 0.6, 0.75), pattern=BRICKS, scale=0.09)
+        return paint(rng, brick, 0.5 * brick + 0.5 * neutral(rng, 0.6, 0.75), pattern="bricks", scale=0.09)
     color = plain_or_muted(rng, 0.6)
-    return paint(rng, color, 0.8 * color, pattern=PLAIN if kind < 0.7 else PANELS, scale=1.4)
+    return paint(rng, color, 0.8 * color, pattern="plain" if kind < 0.7 else "panels", scale=1.4)
 
 
-def _wall(front: _Front, look: Paint) -> Quads:
+def _wall(front: _Front, paint: Paint) -> Quads:
     """Bands under and over the windows, and the piers between them."""
     (wide, tall), thick = front.window, _RECESS + 0.1
     low = np.arange(front.floors) * front.floor + front.sill
@@ -94,7 +93,8 @@ def _wall(front: _Front, look: Paint) -> Quads:
     x = x + np.where(outer, -np.sign(x) * pier / 2, 0)
     piers = np.array([(place, thick / 2, z + tall / 2) for z in low for place in x])
     pier_size = np.column_stack((np.tile(pier, len(low)), np.full(len(piers), thick), np.full(len(piers), tall)))
-    return Quads.join([boxes(at, size, _all(look, len(at))) for at, size in ((bands, band_size), (piers, pier_size))])
+    parts = ((bands, band_size), (piers, pier_size))
+    return Quads.join([boxes(at, size, paint.take(np.zeros(len(at), dtype=np.int64))) for at, size in parts])
 
 
 def _windows(front: _Front, rng: np.random.Generator) -> Quads:
@@ -109,7 +109,7 @@ def _windows(front: _Front, rng: np.random.Generator) -> Quads:
     frame_tone = neutral(rng, 0.75, 0.95) if rng.random() < 0.6 else muted(rng)
     frame, ledge = paint(rng, frame_tone, count=count), paint(rng, neutral(rng, 0.5, 0.8), count=count)
     lowered = at[kind[:, 0] > 0.9]
-    blind = paint(rng, shade, 0.8 * shade, count=len(lowered), pattern=STRIPES, scale=0.08)
+    blind = paint(rng, shade, 0.8 * shade, count=len(lowered), pattern="stripes", scale=0.08)
     return Quads.join(
         [
             panes,
@@ -131,7 +131,7 @@ def _balconies(front: _Front, rng: np.random.Generator) -> Quads:
     wide, deep = 0.85 * front.length / front.columns, rng.uniform(0.9, 1.4)
     slab = paint(rng, neutral(rng, 0.5, 0.8), count=len(at))
     color = vivid(rng) if rng.random() < 0.4 else plain_or_muted(rng, 0.6)
-    rail = paint(rng, color, 0.85 * color, count=len(at), pattern=STRIPES, scale=0.12)
+    rail = paint(rng, color, 0.85 * color, count=len(at), pattern="stripes", scale=0.12)
     sides = [boxes(at + np.array([s * wide / 2, -deep / 2, 0.55]), (0.05, deep, 0.9), rail) for s in (-1, 1)]
     return Quads.join(
         [
@@ -150,7 +150,7 @@ def _entrance(x: float, rng: np.random.Generator) -> Quads:
     return Quads.join(
         [
             boxes((x, -0.08, 1.45), (wide + 0.6, 0.2, 2.9), surround),
-            boxes((x, -0.2, 1.4), (wide, 0.06, 2.2), paint(rng, color, 0.8 * color, pattern=PANELS, scale=wide / 2)),
+            boxes((x, -0.2, 1.4), (wide, 0.06, 2.2), paint(rng, color, 0.8 * color, pattern="panels", scale=wide / 2)),
             boxes((x, -0.75, 2.85), (wide + 0.8, 1.5, 0.16), paint(rng, neutral(rng, 0.4, 0.9))),
             boxes([(x, -0.5, 0.1), (x, -0.7, 0.1)], [(wide + 0.6, 0.9, 0.4), (wide + 1.0, 1.3, 0.2)], stone),
         ]
@@ -165,12 +165,12 @@ def _pipes(front: _Front, rng: np.random.Generator) -> Quads:
 
 
 def _body(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
-    """The house behind the front, with a few windows in both of its ends."""
+    """The body behind the front, with a few windows in both of its ends."""
     color, inside = plain_or_muted(rng, 0.5), _RECESS + 0.02
     box = boxes(
         (0, inside + (depth - inside) / 2, front.height / 2),
         (front.length - 0.02, depth - inside, front.height),
-        paint(rng, color, 0.85 * color, pattern=PANELS, scale=2.0),
+        paint(rng, color, 0.85 * color, pattern="panels", scale=2.0),
     )
     z = np.arange(front.floors) * front.floor + front.sill + front.window[1] / 2
     places = np.array([(s * front.length / 2, t * depth, height) for height in z for s in (-1, 1) for t in (0.3, 0.7)])
@@ -188,11 +188,6 @@ def _roof(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
     gable = prism(
         [(-half, 0), (half, 0), (half, 0.2), (0, rise), (-half, 0.2)],
         front.length + 0.6,
-        paint(rng, tile, 0.8 * tile, pattern=PANELS, scale=0.35),
+        paint(rng, tile, 0.8 * tile, pattern="panels", scale=0.35),
     )
     return gable.placed(0, depth / 2, front.height, yaw=math.pi / 2)
-
-
-def _all(look: Paint, count: int) -> Paint:
-    """The first row of a paint for ``count`` surfaces."""
-    return look.take(np.zeros(count, dtype=np.int64))

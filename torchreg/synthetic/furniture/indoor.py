@@ -1,7 +1,4 @@
-"""What stands in the hall: kiosks, benches, planters, boards, bins, cartons and people.
-
-Every function draws one piece about its own origin on the floor, meters, z up.
-"""
+"""Furniture of halls, and people: kiosks, benches, planters, boards, bins, cartons."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchreg.synthetic.scene.paint import GOODS, LETTERS, PLANKS, POSTER, STRIPES, paint
-from torchreg.synthetic.scene.palette import from_hsv, neutral, vivid
+from torchreg.synthetic.scene.paint import from_hsv, neutral, paint, vivid
 from torchreg.synthetic.scene.quads import Quads, balls, boxes, cylinders, rectangles, up
 
 
@@ -21,11 +17,11 @@ def kiosk(rng: np.random.Generator) -> Quads:
     beside = edge / 2 * np.array([(0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0)])
     size = np.array([(edge + 0.5, 0.5, 1.05)] * 2 + [(0.5, edge - 0.5, 1.05)] * 2)
     posts = (edge / 2 + 0.1) * np.array([(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)]) + up(1.2)
-    goods = paint(rng, vivid(rng, 4), pattern=GOODS, scale=rng.uniform(0.1, 0.2))
-    roof = paint(rng, sign, (1, 1, 1), pattern=LETTERS, scale=0.3)
+    goods = paint(rng, vivid(rng, 4), pattern="goods", scale=rng.uniform(0.1, 0.2))
+    roof = paint(rng, sign, (1, 1, 1), pattern="letters", scale=0.3)
     return Quads.join(
         [
-            boxes(beside + up(0.525), size, paint(rng, body, sign, count=4, pattern=STRIPES, scale=0.35)),
+            boxes(beside + up(0.525), size, paint(rng, body, sign, count=4, pattern="stripes", scale=0.35)),
             boxes(beside + up(1.2), size * [0.6, 0.6, 0.27], goods),
             boxes(posts, (0.08, 0.08, 2.4), paint(rng, (0.5, 0.5, 0.5), count=4)),
             boxes((0, 0, 2.6), (edge + 0.6, edge + 0.6, 0.45), roof),
@@ -36,7 +32,7 @@ def kiosk(rng: np.random.Generator) -> Quads:
 
 def bench(rng: np.random.Generator) -> Quads:
     """A wooden seat on two blocks."""
-    wood = paint(rng, np.array([0.62, 0.45, 0.28]) * rng.uniform(0.7, 1.2), pattern=PLANKS, scale=0.11)
+    wood = paint(rng, np.array([0.62, 0.45, 0.28]) * rng.uniform(0.7, 1.2), pattern="planks", scale=0.11)
     legs = paint(rng, neutral(rng, 0.3, 0.7), count=2)
     return Quads.join(
         [
@@ -66,7 +62,7 @@ def planter(rng: np.random.Generator) -> Quads:
 
 def board(rng: np.random.Generator) -> Quads:
     """An upright board with a poster on each side."""
-    poster = paint(rng, vivid(rng), neutral(rng), pattern=POSTER, scale=0.25)
+    poster = paint(rng, vivid(rng), neutral(rng), pattern="poster", scale=0.25)
     return Quads.join(
         [
             boxes((0, 0, 1.15), (0.8, 0.16, 1.7), poster),
@@ -93,8 +89,8 @@ def cartons(rng: np.random.Generator) -> Quads:
     center = np.column_stack((0.04 * rng.standard_normal((count, 2)), middle))
     color = np.array([[0.66, 0.5, 0.34]]) if rng.random() < 0.6 else vivid(rng)
     color = rng.uniform(0.85, 1.05, (count, 1)) * color
-    look = paint(rng, color, (0.9, 0.9, 0.9), pattern=LETTERS, scale=0.1)
-    return boxes(center, size, look, yaw=rng.uniform(-0.4, 0.4, count))
+    card = paint(rng, color, (0.9, 0.9, 0.9), pattern="letters", scale=0.1)
+    return boxes(center, size, card, yaw=rng.uniform(-0.4, 0.4, count))
 
 
 def person(rng: np.random.Generator) -> Quads:

@@ -1,12 +1,11 @@
-"""Parked cars and vans, along x about their own middle on the road, meters, z up."""
+"""Parked cars and vans, their length along x."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import LETTERS, Paint, paint
-from torchreg.synthetic.scene.palette import neutral, vivid
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import Paint, neutral, paint, vivid
 from torchreg.synthetic.scene.quads import Quads, boxes, prism
 
 
@@ -36,7 +35,7 @@ def van(rng: np.random.Generator) -> Quads:
     body = _lacquer(rng)
     profile = [(-half, 0.32), (half, 0.32), (half, 0.95), (0.72 * half, 1.15), (0.48 * half, tall), (-half, tall)]
     pane = [(0.42 * half, 1.18), (0.715 * half, 1.18), (0.52 * half, tall - 0.2), (0.42 * half, tall - 0.2)]
-    letters = paint(rng, body.color, vivid(rng), count=1, pattern=LETTERS, scale=0.4)
+    letters = paint(rng, body.color, vivid(rng), count=1, pattern="letters", scale=0.4)
     return Quads.join(
         [
             prism(profile, wide, body),

@@ -1,14 +1,10 @@
-"""What stands along a road: lamp posts, traffic signs, flags, bollards, containers, shelters, bicycle racks.
-
-Every function draws one piece about its own origin on the ground, meters, z up. What has a front faces -y.
-"""
+"""Furniture of streets: lamp posts, traffic signs, flags, bollards, containers, shelters, bicycle racks."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.scene.paint import LETTERS, POSTER, STRIPES, paint
-from torchreg.synthetic.scene.palette import neutral, vivid
+from torchreg.synthetic.scene.paint import neutral, paint, vivid
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, prism, up
 
 
@@ -43,7 +39,7 @@ def traffic_sign(rng: np.random.Generator) -> Quads:
 
 def flag(rng: np.random.Generator) -> Quads:
     """A tall banner on a mast."""
-    cloth = paint(rng, vivid(rng), vivid(rng), pattern=STRIPES if rng.random() < 0.5 else LETTERS, scale=0.5)
+    cloth = paint(rng, vivid(rng), vivid(rng), pattern="stripes" if rng.random() < 0.5 else "letters", scale=0.5)
     return Quads.join(
         [
             cylinders((0, 0, 0), 0.05, 6.5, paint(rng, (0.8, 0.8, 0.8)), sides=12),
@@ -76,10 +72,10 @@ def containers(rng: np.random.Generator) -> Quads:
 
 
 def shelter(rng: np.random.Generator) -> Quads:
-    """Where one waits for a bus: a back of glass, a roof, a bench and a poster."""
+    """A bus shelter: a back of glass, a roof, a bench and a poster."""
     post, roof = paint(rng, (0.3, 0.31, 0.33), count=4), paint(rng, vivid(rng))
     corners = [(-1.7, 0.5, 1.2), (1.7, 0.5, 1.2), (-1.7, -0.5, 1.2), (1.7, -0.5, 1.2)]
-    poster = paint(rng, vivid(rng), neutral(rng), pattern=POSTER, scale=0.3)
+    poster = paint(rng, vivid(rng), neutral(rng), pattern="poster", scale=0.3)
     return Quads.join(
         [
             boxes(corners, (0.07, 0.07, 2.4), post),

@@ -1,15 +1,11 @@
-"""Trees and hedges: trunks, boughs, and crowns of clumps of leaves.
-
-Every function draws one plant about its own origin on the ground, meters, z up.
-"""
+"""Trees and hedges: trunks, boughs, and crowns of clumps of leaves."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import PATCHES, paint
-from torchreg.synthetic.scene.palette import from_hsv
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import from_hsv, paint
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles, up
 
 
@@ -22,7 +18,7 @@ def broadleaf(rng: np.random.Generator) -> Quads:
     tips = np.stack((out * np.cos(around), out * np.sin(around), fork + 0.3 + rise * 0.65 * tall), axis=1)
     size = rng.uniform(0.28, 0.45, (boughs, 1)) * reach * [1.3, 1.3, 0.9] + 0.25
     bark = from_hsv(rng.uniform(0.05, 0.11, 1), rng.uniform(0.15, 0.45, 1), rng.uniform(0.25, 0.5, 1))
-    wood = paint(rng, bark, 0.6 * bark, pattern=PATCHES, scale=0.2)
+    wood = paint(rng, bark, 0.6 * bark, pattern="patches", scale=0.2)
     thick = rng.uniform(0.12, 0.22)
     return Quads.join(
         [

@@ -1,4 +1,4 @@
-"""The error of an estimated pose, as something to train on: the angle of the rotation, the length of the shift."""
+"""Loss of an estimated pose: the angle of its rotation error and the length of its translation error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class PoseLoss(NamedTuple):
     Attributes:
         rotation: (...,) radians in [0, pi], the angle of R_true^T R_estimated.
         translation: (...,) meters, |t_estimated - t_true|.
-        total: (...,) their weighted sum: what to call ``mean().backward()`` on.
+        total: (...,) their weighted sum; train on its mean.
     """
 
     rotation: Tensor
@@ -74,5 +74,5 @@ def _angle(R: Tensor) -> Tensor:
         torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1)
     )
     twice_cosine = torch.diagonal(R, dim1=-2, dim2=-1).sum(dim=-1) - 1
-    neither = (twice_sine == 0) & (twice_cosine == 0)  # of no rotation, but a matrix on its way to become one may
+    neither = (twice_sine == 0) & (twice_cosine == 0)  # never of a rotation, but maybe of a matrix still in training
     return torch.atan2(twice_sine, torch.where(neither, 1, twice_cosine))

@@ -1,4 +1,4 @@
-"""Where loose things stand in a simulated place, and in which of the two scans."""
+"""Random places for loose pieces, and which of the two scans see them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
+from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.quads import Quads
 
-# For each place that a piece takes, the scans that find it there.
+# The scans (0 source, 1 target) that see a piece, for each of the places where it stands in turn.
 FIXED, MOVED, ONLY_SOURCE, ONLY_TARGET = ((0, 1),), ((0,), (1,)), ((0,),), ((1,),)
 
 Contents = tuple[list[Quads], list[Quads]]
@@ -20,17 +20,17 @@ DrawPlaces = Callable[[float, np.random.Generator], Array]
 _CLEARANCE = 0.8  # meters around a tripod
 
 
-class Kind(NamedTuple):
+class Pieces(NamedTuple):
     """Pieces of one kind."""
 
     make: Callable[[np.random.Generator], Quads]
-    radius: float  # meters that it takes around its middle
+    radius: float  # meters, of the free circle that a piece needs
     number: int
-    places: tuple[tuple[int, ...], ...]
+    seen_by: tuple[tuple[int, ...], ...]  # FIXED, MOVED, ONLY_SOURCE or ONLY_TARGET
 
 
 def scatter(
-    kinds: Sequence[Kind], draw_places: DrawPlaces, taken: Array, stations: Sequence[Array], rng: np.random.Generator
+    kinds: Sequence[Pieces], draw_places: DrawPlaces, taken: Array, stations: Sequence[Array], rng: np.random.Generator
 ) -> Contents:
     """The pieces that the source scan and the target scan see.
 
@@ -45,14 +45,14 @@ def scatter(
     for kind in kinds:
         for _ in range(kind.number):
             piece = kind.make(rng)
-            for seen_by in kind.places:
+            for scans in kind.seen_by:
                 yaw = 0.5 * math.pi * rng.integers(4) + rng.uniform(-0.2, 0.2)
                 spot = _first_free(draw_places(kind.radius, rng), taken, kind.radius)
                 if spot is None:
                     continue
                 taken = np.vstack((taken, (*spot, kind.radius)))
                 if clear_of(stations, spot, kind.radius):
-                    for k in seen_by:
+                    for k in scans:
                         contents[k].append(piece.placed(spot[0], spot[1], yaw=yaw))
     return contents
 

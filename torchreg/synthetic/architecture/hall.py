@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchreg.synthetic.scene.arrays import Array
-from torchreg.synthetic.scene.paint import LETTERS, PANELS, PLANKS, POSTER, TILES, paint
-from torchreg.synthetic.scene.palette import muted, neutral, plain_or_muted, vivid
+from torchreg.synthetic.scene import Array
+from torchreg.synthetic.scene.paint import muted, neutral, paint, plain_or_muted, vivid
 from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles, up
 
 
@@ -71,7 +70,7 @@ class HallPlan:
 
 
 def draw_plan(rng: np.random.Generator) -> HallPlan:
-    """Sizes of a hall as they occur."""
+    """Random sizes of a hall."""
     length, width = rng.uniform(28, 34), rng.uniform(16, 20)
     return HallPlan(
         length=length,
@@ -93,10 +92,10 @@ def floor(plan: HallPlan, rng: np.random.Generator) -> Quads:
     """Tiles everywhere, a strip of darker ones under each row of columns, colored fields down the middle."""
     length, width = plan.length + 1, plan.width + 2 * plan.depth + 1
     pale, dark = neutral(rng, 0.55, 0.8), neutral(rng, 0.35, 0.55)
-    tiles = paint(rng, pale, rng.uniform(0.75, 0.95) * pale, pattern=TILES, scale=rng.uniform(0.45, 0.8))
-    strip = paint(rng, dark, 0.8 * dark, count=2, pattern=TILES, scale=rng.uniform(0.3, 0.5))
+    tiles = paint(rng, pale, rng.uniform(0.75, 0.95) * pale, pattern="tiles", scale=rng.uniform(0.45, 0.8))
+    strip = paint(rng, dark, 0.8 * dark, count=2, pattern="tiles", scale=rng.uniform(0.3, 0.5))
     count = plan.bays // 2
-    field = paint(rng, muted(rng, 2)[np.arange(count) % 2], pattern=TILES, scale=rng.uniform(0.2, 0.4))
+    field = paint(rng, muted(rng, 2)[np.arange(count) % 2], pattern="tiles", scale=rng.uniform(0.2, 0.4))
     field_at = _along((np.arange(count) - (count - 1) / 2) * 2 * plan.pitch, 0.004)
     strip_at = [(0, -plan.column_y, 0.004), (0, plan.column_y, 0.004)]
     return Quads.join(
@@ -114,8 +113,8 @@ def ceiling(plan: HallPlan, rng: np.random.Generator) -> Quads:
     rest_x, rest_y = (plan.length + 1 - long) / 2, (plan.width + 1 - wide) / 2
     off_x, off_y = (long + rest_x) / 2, (wide + rest_y) / 2
     white, wooden = neutral(rng, 0.85, 0.95), rng.random() < 0.35
-    panels = paint(rng, white, 0.7 * white, count=4, pattern=PANELS, scale=0.6)
-    slats = paint(rng, neutral(rng, 0.5, 0.85) * [1, 0.8, 0.58], count=4, pattern=PLANKS, scale=0.15)
+    panels = paint(rng, white, 0.7 * white, count=4, pattern="panels", scale=0.6)
+    slats = paint(rng, neutral(rng, 0.5, 0.85) * [1, 0.8, 0.58], count=4, pattern="planks", scale=0.15)
     shaft_at = [(0, -wide / 2, 0.36), (0, wide / 2, 0.36), (-long / 2, 0, 0.36), (long / 2, 0, 0.36)]
     shaft = [(long, 0.1, 0.7), (long, 0.1, 0.7), (0.1, wide, 0.7), (0.1, wide, 0.7)]
     bar_x = np.arange(1.2 - long / 2, long / 2 - 0.3, 1.2)
@@ -147,8 +146,8 @@ def columns(plan: HallPlan, rng: np.random.Generator) -> Quads:
         parts = [boxes(at + up(tall / 2), shaft_size, shaft), boxes(at + up(0.075), foot_size, foot)]
     chosen = at[rng.random(len(at)) < 0.35]
     place = chosen - np.sign(chosen) * [0, size / 2 + 0.03, 0] + up(1.6)
-    look = paint(rng, vivid(rng, len(place)), neutral(rng), pattern=POSTER, scale=0.22)
-    return Quads.join([*parts, boxes(place, (0.5, 0.04, 0.9), look)])
+    poster = paint(rng, vivid(rng, len(place)), neutral(rng), pattern="poster", scale=0.22)
+    return Quads.join([*parts, boxes(place, (0.5, 0.04, 0.9), poster)])
 
 
 def end_wall(plan: HallPlan, rng: np.random.Generator) -> Quads:
@@ -156,10 +155,10 @@ def end_wall(plan: HallPlan, rng: np.random.Generator) -> Quads:
     doors = rng.uniform(-0.2, 0.2) * plan.width
     left, right = doors - rng.uniform(2.8, 3.4), doors + rng.uniform(2.8, 3.4)
     color = plan.wall if rng.random() < 0.5 else muted(rng)
-    wall = paint(rng, color, 0.85 * color, pattern=PANELS, scale=1.2)
+    wall = paint(rng, color, 0.85 * color, pattern="panels", scale=1.2)
     door_at = [(doors - 0.8, -0.08, 1.15), (doors + 0.8, -0.08, 1.15)]
-    sign = paint(rng, vivid(rng), (1, 1, 1), pattern=LETTERS, scale=0.35)
-    banner = paint(rng, vivid(rng, 2), neutral(rng), pattern=POSTER, scale=0.5)
+    sign = paint(rng, vivid(rng), (1, 1, 1), pattern="letters", scale=0.35)
+    banner = paint(rng, vivid(rng, 2), neutral(rng), pattern="poster", scale=0.5)
     tall = plan.height
     return Quads.join(
         [

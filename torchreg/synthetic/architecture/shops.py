@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.hall import HallPlan
-from torchreg.synthetic.scene.paint import GOODS, LETTERS, PANELS, PLANKS, POSTER, STRIPES, paint
-from torchreg.synthetic.scene.palette import muted, neutral, plain_or_muted, vivid, wares
+from torchreg.synthetic.architecture.hall import HallPlan
+from torchreg.synthetic.scene.paint import muted, neutral, paint, plain_or_muted, vivid, wares
 from torchreg.synthetic.scene.quads import Quads, boxes, rectangles
 
 
@@ -72,11 +71,11 @@ def clothes_rail(rng: np.random.Generator, width: float) -> Quads:
 def counter(rng: np.random.Generator, width: float) -> Quads:
     """A till: a box with a wooden top, a screen and small goods."""
     body = neutral(rng, 0.4, 0.9) if rng.random() < 0.6 else 0.8 * vivid(rng)
-    goods = paint(rng, vivid(rng), pattern=GOODS, scale=0.08)
-    top = paint(rng, (0.6, 0.45, 0.3), pattern=PLANKS, scale=0.1)
+    goods = paint(rng, vivid(rng), pattern="goods", scale=0.08)
+    top = paint(rng, (0.6, 0.45, 0.3), pattern="planks", scale=0.1)
     return Quads.join(
         [
-            boxes((0, 0, 0.5), (width, 0.6, 1.0), paint(rng, body, pattern=PLANKS, scale=0.3)),
+            boxes((0, 0, 0.5), (width, 0.6, 1.0), paint(rng, body, pattern="planks", scale=0.3)),
             boxes((0, 0, 1.02), (width + 0.1, 0.7, 0.04), top),
             boxes((0.2 * width, 0, 1.25), (0.4, 0.05, 0.3), paint(rng, (0.12, 0.12, 0.12))),
             boxes((-0.25 * width, 0, 1.14), (0.5, 0.3, 0.2), goods),
@@ -89,7 +88,7 @@ def table(rng: np.random.Generator) -> Quads:
     grid = np.stack(np.meshgrid([-0.6, -0.2, 0.2, 0.6], [-0.2, 0.2]), axis=-1).reshape(-1, 2)
     tall = rng.uniform(0.05, 0.3, len(grid))
     size = np.stack((0 * tall + 0.3, 0 * tall + 0.26, tall), axis=1)
-    stacks = paint(rng, wares(rng, len(grid)), pattern=STRIPES, scale=0.04)
+    stacks = paint(rng, wares(rng, len(grid)), pattern="stripes", scale=0.04)
     top = neutral(rng, 0.6, 0.95)
     return Quads.join(
         [
@@ -104,12 +103,12 @@ def _front(plan: HallPlan, rng: np.random.Generator) -> Quads:
     pitch, opening, tall, sign = plan.pitch, plan.opening, plan.height, plan.sign
     over = opening + 0.25 + sign / 2
     at = pitch / 2 - 0.126  # neighboring bays share no face
-    wall = paint(rng, plan.wall, 0.85 * plan.wall, count=2, pattern=PANELS, scale=1.2)
+    wall = paint(rng, plan.wall, 0.85 * plan.wall, count=2, pattern="panels", scale=1.2)
     ground, letters = (vivid(rng), neutral(rng)) if rng.random() < 0.6 else (neutral(rng), vivid(rng))
     glow = 0.5 if rng.random() < 0.5 else 0.0
-    own = muted(rng) if rng.random() < 0.6 else 0.9 * plan.wall
-    portal = paint(rng, own, 0.85 * own, pattern=PANELS, scale=1.2)
-    board = paint(rng, ground, letters, pattern=LETTERS, scale=0.6 * sign, glow=glow)
+    tone = muted(rng) if rng.random() < 0.6 else 0.9 * plan.wall
+    portal = paint(rng, tone, 0.85 * tone, pattern="panels", scale=1.2)
+    board = paint(rng, ground, letters, pattern="letters", scale=0.6 * sign, glow=glow)
     return Quads.join(
         [
             boxes([(-at, 0.17, tall / 2), (at, 0.17, tall / 2)], (0.25, 0.44, tall), wall),
@@ -129,7 +128,7 @@ def _room(plan: HallPlan, rng: np.random.Generator) -> Quads:
     side, half_depth, half_tall = pitch / 2 - 0.02, depth / 2, tall / 2
     middles = [(0, depth, half_tall), (-side, half_depth, half_tall), (side, half_depth, half_tall)]
     middles.append((0, half_depth, tall))
-    wood = paint(rng, neutral(rng, 0.4, 0.8) * [1, 0.85, 0.65], pattern=PLANKS, scale=0.14)
+    wood = paint(rng, neutral(rng, 0.4, 0.8) * [1, 0.85, 0.65], pattern="planks", scale=0.14)
     ground = wood if rng.random() < 0.6 else paint(rng, muted(rng))
     return Quads.join(
         [
@@ -146,14 +145,14 @@ def _room(plan: HallPlan, rng: np.random.Generator) -> Quads:
 
 def _shutter(plan: HallPlan, rng: np.random.Generator) -> Quads:
     gray = neutral(rng, 0.5, 0.75)
-    slats = paint(rng, gray, 0.85 * gray, pattern=STRIPES, scale=0.06)
+    slats = paint(rng, gray, 0.85 * gray, pattern="stripes", scale=0.06)
     return boxes((0, 0.3, plan.opening / 2), (plan.pitch - 0.3, 0.05, plan.opening), slats)
 
 
 def _closed(plan: HallPlan, rng: np.random.Generator) -> Quads:
     count = int(rng.integers(0, 4))
     x = (np.arange(count) - (count - 1) / 2) * 1.3
-    posters = paint(rng, vivid(rng, count), neutral(rng), pattern=POSTER, scale=0.25)
+    posters = paint(rng, vivid(rng, count), neutral(rng), pattern="poster", scale=0.25)
     color = plan.wall if rng.random() < 0.5 else muted(rng)
     wall = boxes((0, 0.2, plan.opening / 2), (plan.pitch - 0.3, 0.1, plan.opening), paint(rng, color))
     place = np.stack((x, 0 * x + 0.13, 0 * x + 1.6), axis=1)

@@ -1,0 +1,215 @@
+"""From features to poses, each step with what it learns: fusion, soft matching, weighted Kabsch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from torchreg.descriptors.fuse import fuse, rooted
+from torchreg.errors import at_least, expect, expect_shape, fraction, one_of, positive
+from torchreg.geometry.numerics.derivatives import transformed
+from torchreg.geometry.robust_kabsch import robust_kabsch
+from torchreg.geometry.se3 import apply_rotation, rigid
+from torchreg.geometry.soft_kabsch import soft_kabsch
+from torchreg.matching import soft_match
+from torchreg.matching.soft import METHODS
+from torchreg.nn.precision import full_precision, widened
+from torchreg.types import Clouds, Features, SoftCorrespondences
+from torchreg.types.packing import spans
+
+_HISTOGRAMS = ("fpfh", "pcfh")  # blocks in percent
+
+
+class Fuse(nn.Module):
+    """``torchreg.fuse`` whose block weights are learned, as logarithms, so that they stay above 0.
+
+    Args:
+        weights: initial ones, one per descriptor, above 0. The paper weighs FPFH and PCFH alike.
+        root: in [0, 1], how far the entries of FPFH and PCFH are first moved towards their square roots, as in
+            ``RegistrationOptions``.
+
+    Attributes:
+        log_weights: (blocks,) learnable.
+
+    Raises:
+        ValueError: no weights, one that is not above 0, or a root out of its range.
+    """
+
+    def __init__(self, weights: Sequence[float] = (1.0, 1.0), *, root: float = 0.0) -> None:
+        super().__init__()
+        self.root = fraction(root, "root", zero=True)
+        expect(len(weights) > 0, "weights", "at least one", weights)
+        self.log_weights = nn.Parameter(torch.tensor([positive(weight, "weights") for weight in weights]).log())
+
+    @property
+    def weights(self) -> Tensor:
+        """(blocks,) above 0, the factors of rows of unit length."""
+        return widened(self.log_weights).exp()
+
+    @full_precision
+    def forward(self, *features: Features) -> Features:
+        """Blocks of unit length, weighted and concatenated, as by ``torchreg.fuse``.
+
+        Gradients flow to the features and to ``log_weights``.
+
+        Args:
+            features: descriptors of the same points, one per weight.
+
+        Raises:
+            ValueError: another number of descriptors, or descriptors of different points.
+        """
+        count = len(self.log_weights)
+        expect(len(features) == count, "features", f"{count} descriptors, one per weight", len(features))
+        plain = fuse(*map(self._rooted, features))
+        weights = self.weights.to(plain.values)
+        scale = torch.cat([weights[i].expand(item.values.shape[1]) for i, item in enumerate(features)])  # (D,)
+        return replace(plain, values=plain.values * scale)
+
+    def _rooted(self, item: Features) -> Features:
+        if self.root == 0 or any(name not in _HISTOGRAMS for name, _ in item.blocks):
+            return item
+        return replace(item, values=rooted(item.values, self.root))
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        return f"blocks={len(self.log_weights)}, root={self.root}"
+
+
+class SoftMatch(nn.Module):
+    """``torchreg.soft_match`` with a learned temperature, as its logarithm, and a learned dustbin.
+
+    The defaults fit fused FPFH and PCFH: on simulated rooms true partners lie 0.02 to 0.15 apart in
+    squares, the nearest features of all 0.01 to 0.07.
+
+    Args:
+        method: ``"dual_softmax"`` or ``"sinkhorn"``.
+        temperature: the initial one, of squared distances of features, above 0.
+        dustbin: the initial one, minus the squared distance from which on a point more likely has no partner;
+            ``None`` leaves it out, which Sinkhorn does not allow.
+        iterations: of Sinkhorn.
+
+    Attributes:
+        log_temperature: () learnable.
+        dustbin: () learnable, or ``None``.
+
+    Raises:
+        ValueError: an unknown method, a number out of its range, or Sinkhorn without a dustbin.
+    """
+
+    def __init__(
+        self,
+        *,
+        method: str = "dual_softmax",
+        temperature: float = 0.01,
+        dustbin: float | None = -0.1,
+        iterations: int = 50,
+    ) -> None:
+        super().__init__()
+        self.method = one_of(method, "method", METHODS)
+        self.iterations = at_least(iterations, "iterations", 1)
+        expect(method == "dual_softmax" or dustbin is not None, "dustbin", "a number with Sinkhorn", dustbin)
+        self.log_temperature = nn.Parameter(torch.tensor(math.log(positive(temperature, "temperature"))))
+        self.dustbin = None if dustbin is None else nn.Parameter(torch.tensor(float(dustbin)))
+
+    @property
+    def temperature(self) -> Tensor:
+        """() above 0."""
+        return widened(self.log_temperature).exp()
+
+    @full_precision
+    def forward(self, source: Features, target: Features) -> SoftCorrespondences:
+        """Soft correspondences of B pairs; shapes, gradients and errors are those of ``torchreg.soft_match``."""
+        return soft_match(
+            source,
+            target,
+            method=self.method,
+            temperature=self.temperature,
+            dustbin=self.dustbin,
+            iterations=self.iterations,
+        )
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        rounds = f", iterations={self.iterations}" if self.method == "sinkhorn" else ""
+        return f"method={self.method!r}{rounds}, dustbin={self.dustbin is not None}"
+
+
+class WeightedKabsch(nn.Module):
+    """Least-squares poses over all pairs of points, weighted by confidence; optionally robust against wrong pairs.
+
+    Args:
+        rounds: of reweighting, in which pairs far apart under the last pose count less (``geometry.robust_kabsch``);
+            0: plain least squares, where every wrong pair pulls.
+        scale: meters, above 0, of the last round: a pair this far apart counts a quarter. About the distance up to
+            which a pair is an inlier. Needed with rounds unless ``forward`` is given one.
+
+    Raises:
+        ValueError: numbers out of their range, or a scale without rounds.
+    """
+
+    def __init__(self, *, rounds: int = 0, scale: float | None = None) -> None:
+        super().__init__()
+        self.rounds = at_least(rounds, "rounds", 0)
+        expect(scale is None or rounds > 0, "scale", "None without rounds, which alone read it", scale)
+        self.scale = None if scale is None else positive(scale, "scale")
+
+    @full_precision
+    def forward(
+        self, source: Clouds, target: Clouds, matches: SoftCorrespondences, *, scale: Tensor | None = None
+    ) -> Tensor:
+        """Solve the pose of every pair.
+
+        Args:
+            source: B clouds.
+            target: B clouds.
+            matches: of their points.
+            scale: (B,) meters, in place of the module's.
+
+        Returns:
+            T_target_source (B, 4, 4) float64, meters, origins included, as in ``RegistrationResult``; solved in the
+            dtype of the points. A pair without any confidence gets one of the rotations, all of which fit alike.
+            Gradients flow to points and confidences, finite everywhere.
+
+        Raises:
+            ValueError: clouds other than those of the matches, or no scale for the rounds.
+        """
+        sides = (("source", source, matches.source_offsets), ("target", target, matches.target_offsets))
+        for name, side, offsets in sides:
+            same = torch.equal(side.offsets, offsets)
+            expect(same, name, f"the clouds of the matches, {offsets.tolist()}", side.offsets.tolist())
+        scales = self._scales(len(source), scale, source.points)
+        poses = [
+            self._solve(source.points[i:j], target.points[k:m], confidence.to(source.points), scales[b])
+            for b, ((i, j), (k, m), confidence) in enumerate(
+                zip(spans(source.offsets), spans(target.offsets), matches.confidence, strict=True)
+            )
+        ]
+        T = torch.stack(poses).double() if poses else source.origin.new_zeros(0, 4, 4)
+        R = T[:, :3, :3]
+        return rigid(R, T[:, :3, 3] - apply_rotation(R, source.origin) + target.origin)
+
+    def _solve(self, source: Tensor, target: Tensor, confidence: Tensor, scale: Tensor) -> Tensor:
+        if self.rounds == 0:
+            return soft_kabsch(source, target, confidence)
+        return robust_kabsch(source, target, confidence, scale=scale, rounds=self.rounds)
+
+    def _scales(self, pairs: int, scale: Tensor | None, like: Tensor) -> Tensor:
+        """(B,) of the dtype and device of the points."""
+        if scale is not None:
+            expect(self.rounds > 0, "scale", "None without rounds, which alone read it", scale)
+            expect_shape(scale, "scale", (pairs,))
+            if not transformed(scale):
+                known = scale.detach()
+                fits = bool((torch.isfinite(known) & (known > 0)).all())
+                expect(fits, "scale", "finite numbers above 0", known.tolist())
+            return scale.to(like)
+        expect(self.rounds == 0 or self.scale is not None, "scale", "one per pair, as the module has none", scale)
+        return like.new_full((pairs,), self.scale or 0.0)
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows."""
+        return f"rounds={self.rounds}, scale={self.scale}"

@@ -1,1 +1,0 @@
-"""What a simulated campus road is made of."""
