@@ -9,6 +9,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from torchreg.descriptors.records import DESCRIPTORS
 from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.errors import at_least, expect, expect_shape, fraction, one_of, positive
 from torchreg.geometry.numerics.derivatives import transformed
@@ -21,7 +22,7 @@ from torchreg.nn.precision import full_precision, widened
 from torchreg.types import Clouds, Features, SoftCorrespondences
 from torchreg.types.packing import spans
 
-_HISTOGRAMS = ("fpfh", "pcfh")  # blocks in percent
+_HISTOGRAMS = {record.name for record in DESCRIPTORS.values() if record.is_histogram}
 
 
 class Fuse(nn.Module):
