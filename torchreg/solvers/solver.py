@@ -30,14 +30,14 @@ class Hypotheses:
         kept: of those, how many passed the solver's first test.
         total: of those, how many were added, and so scored on all correspondences.
         stored: how many are still held; those with the lowest counts of very many are dropped.
-        lack: what became of them when none was added, in words that follow "no hypothesis left: ".
+        explanation: why none was added, in words that follow "no hypothesis left: ".
     """
 
     def __init__(self, points: MatchedPoints, threshold: float) -> None:
         dtype = proposal_dtype(points.source, points.target, threshold)
         self.source, self.target = points.source.to(dtype), points.target.to(dtype)
         self.drawn = self.kept = self.total = self.stored = 0
-        self.lack = ""
+        self.explanation = ""
         self._threshold = threshold
         self._vectors = correspondence_vectors(self.source, self.target)
         self._rotation = [self.source.new_empty(3, 3, 0)]
@@ -54,9 +54,9 @@ class Hypotheses:
         """Why there is no hypothesis, ``None`` where there is one."""
         if self.total > 0:
             return None
-        lack = self.lack or f"of {self.drawn} begun {self.kept} passed the first test, and none gave a transform"
+        text = self.explanation or f"of {self.drawn} begun {self.kept} passed the first test, and none gave a transform"
         figures = {"drawn": self.drawn, "kept": self.kept}
-        return Failure("no hypothesis", f"no hypothesis left: {lack}", figures)
+        return Failure("no hypothesis", f"no hypothesis left: {text}", figures)
 
     def add(self, rotation: Tensor, translation: Tensor) -> Tensor:
         """Enter hypotheses (3, 3, H), (3, H): x_target = R x_source + t in the frames of the points.
