@@ -73,20 +73,18 @@ class Hypotheses:
         self.total += len(proposed)
         self.stored += len(proposed)
         if self.stored > 2 * _STORED:
-            rotation, translation, key = self._all()
-            top = key.topk(_STORED).indices
-            self._rotation, self._translation, self._key = [rotation[..., top]], [translation[:, top]], [key[top]]
-            self.stored = len(top)
+            self._rotation, self._translation, self._key = ([part] for part in self._top(_STORED))
+            self.stored = _STORED
         return proposed
 
     def best(self, count: int) -> tuple[Tensor, Tensor]:
         """Rotations (3, 3, F) and translations (3, F), best first."""
-        rotation, translation, key = self._all()
-        top = key.topk(min(count, len(key))).indices
-        return rotation[..., top], translation[:, top]
+        return self._top(count)[:2]
 
-    def _all(self) -> tuple[Tensor, Tensor, Tensor]:
-        return torch.cat(self._rotation, dim=-1), torch.cat(self._translation, dim=-1), torch.cat(self._key)
+    def _top(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        key = torch.cat(self._key)
+        top = key.topk(min(count, len(key))).indices
+        return torch.cat(self._rotation, dim=-1)[..., top], torch.cat(self._translation, dim=-1)[:, top], key[top]
 
 
 @dataclass(frozen=True, kw_only=True)
