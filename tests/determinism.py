@@ -28,7 +28,7 @@ _CHUNKED = (
     "preprocess.normals",
     "solvers.chance",
 )
-_TILED = ("matching.settle", "solvers.scoring")
+_TILED = ("matching.nearest", "solvers.scoring")
 
 
 def same_bits(left: Any, right: Any, *, ignore: tuple[str, ...] = ()) -> bool:

@@ -11,7 +11,7 @@ from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
 from torchreg.geometry.soft_kabsch import soft_kabsch
-from torchreg.matching.soft_targets import expected_targets
+from torchreg.matching.soft import expected_targets
 
 
 def numbers(*shape, seed=0):

@@ -6,10 +6,9 @@ from determinism import THREADS, pieces, same_bits, threads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchreg.matching.nearest import feature_nearest
+from torchreg.matching.mutual import candidate_pairs
+from torchreg.matching.nearest import feature_nearest, row_distance, settle_ties
 from torchreg.matching.product import least, product
-from torchreg.matching.rivals import candidate_pairs
-from torchreg.matching.settle import row_distance, settle
 
 
 def brute_force(query, table, count):
@@ -58,7 +57,7 @@ def test_a_crowd_of_nearly_equal_rows_is_told_apart(spread, dtype, count):
 def test_settled_rows_are_those_of_brute_force_whatever_the_bound(spread, loose):
     query, table = crowd(100, 9, 3, spread), crowd(300, 9, 4, spread)
     row, distance = brute_force(query, table, 3)
-    found = settle(query, table, 3, loose * distance[:, -1])
+    found = settle_ties(query, table, 3, loose * distance[:, -1])
     assert torch.equal(found[0], row)
     assert same_bits(found[1], distance)
 
@@ -70,14 +69,14 @@ def test_a_pair_said_to_stand_or_to_fall_does(seed, rows, others, count, spread)
     pairs = candidate_pairs(feature_nearest(query, table, count), count)
     back = brute_force(table, query, count)[0]
     mutual = (back[pairs.target] == pairs.source[:, None]).any(dim=1)
-    assert not (pairs.stands & pairs.open).any()
-    assert torch.equal(mutual & ~pairs.open, pairs.stands)
+    assert not (pairs.mutual & pairs.undecided).any()
+    assert torch.equal(mutual & ~pairs.undecided, pairs.mutual)
 
 
 def test_few_pairs_of_distinct_features_are_left_open():
     query = torch.rand(400, 33, generator=torch.Generator().manual_seed(7))
     pairs = candidate_pairs(feature_nearest(query, query.flip(0)), 1)
-    assert pairs.stands.all()
+    assert pairs.mutual.all()
 
 
 def test_the_error_of_the_product_is_within_its_bound():

@@ -9,8 +9,7 @@ from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
-from torchreg.matching.soft import squared_distances
-from torchreg.matching.soft_targets import expected_targets, soft_targets
+from torchreg.matching.soft import expected_targets, soft_targets, squared_distances
 from torchreg.types.packing import offsets_of
 
 WAYS = {

@@ -10,7 +10,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.learning import pose_loss
-from torchreg.matching.soft_targets import soft_targets
+from torchreg.matching.soft import soft_targets
 
 ROOM = room_pair(700, seed=3)
 OPTIONS = tr.RegistrationOptions(

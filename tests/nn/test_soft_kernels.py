@@ -11,8 +11,7 @@ from torchreg.geometry.robust_kabsch import robust_kabsch
 from torchreg.geometry.soft_kabsch import soft_kabsch
 from torchreg.matching.dual_softmax import dual_softmax
 from torchreg.matching.sinkhorn import sinkhorn
-from torchreg.matching.soft import squared_distances
-from torchreg.matching.soft_targets import expected_targets
+from torchreg.matching.soft import expected_targets, squared_distances
 from torchreg.nn.descriptors import ascending_edges
 
 # what torch's own compiler does on its way

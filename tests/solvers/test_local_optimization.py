@@ -23,7 +23,9 @@ def columns(problem):
 def one_pair(source, target, threshold=0.2):
     """The points (3, M) twice of a single pair."""
     valid = torch.ones(1, source.shape[1], dtype=torch.bool)
-    return PairPoints(source[:, None], target[:, None], valid, (source.shape[1],), (threshold,), *CENTERS, (0,))
+    return PairPoints(
+        source[:, None], target[:, None], valid, valid.double(), (source.shape[1],), (threshold,), *CENTERS, (0,)
+    )
 
 
 def side_by_side(pairs):
@@ -37,7 +39,7 @@ def side_by_side(pairs):
     valid = torch.arange(width) < torch.tensor(counts)[:, None]
     thresholds = tuple(pair.thresholds[0] for pair in pairs)
     centers = (center.expand(len(pairs), 3) for center in CENTERS)
-    return PairPoints(*sides, valid, tuple(counts), thresholds, *centers, (0,) * len(pairs))
+    return PairPoints(*sides, valid, valid.double(), tuple(counts), thresholds, *centers, (0,) * len(pairs))
 
 
 def all_of(pair, count):

@@ -11,7 +11,7 @@ from problems import matched, random_rotation
 import torchreg as tr
 from torchreg.datasets import match_problem
 from torchreg.solvers import Hypotheses, MatchedPoints, poses_of_pairs
-from torchreg.solvers.poses import APART, POSES, pose_vectors, spread_out, spread_out_pairs
+from torchreg.solvers.poses import APART, POSES, pose_vectors, spread_out
 
 OPTIONS = tr.RansacOptions(hypotheses=50_000)
 
@@ -42,7 +42,7 @@ def test_the_choice_is_the_greedy_one(seed, count, radius, most):
         near = [float((vectors[:, h] - vectors[:, c]).norm()) <= radius for c in chosen]
         if len(chosen) < most and not any(near):
             chosen.append(h)
-    assert spread_out(vectors, radius, most).tolist() == chosen
+    assert spread_out(vectors, torch.zeros(count).long(), [radius], most).tolist() == chosen
 
 
 @settings(max_examples=20)
@@ -56,9 +56,9 @@ def test_the_choice_among_several_pairs_is_that_among_each(seed, counts, most):
     expected = [
         begin + place
         for begin, vectors, radius in zip(begins, each, radii, strict=False)
-        for place in spread_out(vectors, radius, most).tolist()
+        for place in spread_out(vectors, torch.zeros(vectors.shape[1]).long(), [radius], most).tolist()
     ]
-    assert spread_out_pairs(torch.cat(each, dim=1), pair, radii, most).tolist() == expected
+    assert spread_out(torch.cat(each, dim=1), pair, radii, most).tolist() == expected
 
 
 def test_a_dominating_mode_does_not_push_out_another():
@@ -116,7 +116,7 @@ def test_hypotheses_keep_the_best_in_their_order(monkeypatch):
     rotation, translation = poses(300)
     source, target = torch.rand(2, 3, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     monkeypatch.setattr("torchreg.solvers.solver._STORED", 30)
-    hypotheses = Hypotheses(MatchedPoints(source, target, 0), 1e-3 + 1.0)
+    hypotheses = Hypotheses(MatchedPoints(source, target, torch.zeros(40), 0), 1e-3 + 1.0)
     assert hypotheses.failure.kind == "no hypothesis"
     counts = []
     for begin in range(0, 300, 50):

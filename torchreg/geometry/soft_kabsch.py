@@ -4,7 +4,7 @@
 
 Only sums over the pairs count: with rows r_i = sum_j C_ij, columns c_j = sum_i C_ij and W = sum_ij C_ij the means are
 P^T r / W and Q^T c / W, the covariance (P - mean)^T C (Q - mean) / W. ``kabsch`` on expected partners
-(``matching.soft_targets``) minimizes the same, but divides by every row's r_i; here only W is divided by.
+(``matching.soft.soft_targets``) minimizes the same, but divides by every row's r_i; here only W is divided by.
 """
 
 from __future__ import annotations

@@ -8,10 +8,12 @@ doi:10.1109/CVPR46437.2021.00881, Eq. 2). A dustbin joins both sums as one more 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
-from torchreg.matching.pair_masks import one_number, score_masks
+from torchreg.errors import expect, expect_dtype, expect_floating
 
 
 def dual_softmax(
@@ -45,13 +47,52 @@ def dual_softmax(
                 [0.2500, 0.2500]])
     """
     masks = score_masks(scores, source_valid, target_valid)
-    none = None if dustbin is None else one_number(dustbin, "dustbin", scores)
+    no_partner = None if dustbin is None else one_number(dustbin, "dustbin", scores)
     if scores.numel() == 0:
         return scores
     logits = torch.where(masks.pair, scores, 0)
-    by_row = _log_softmax(logits, masks.target[..., None, :], none, -1)
-    by_column = _log_softmax(logits, masks.source[..., :, None], none, -2)
+    by_row = _log_softmax(logits, masks.target[..., None, :], no_partner, -1)
+    by_column = _log_softmax(logits, masks.source[..., :, None], no_partner, -2)
     return torch.where(masks.pair, by_row + by_column, -torch.inf).exp()
+
+
+class Masks(NamedTuple):
+    """Rows and columns that take part.
+
+    Attributes:
+        source: (..., N) bool.
+        target: (..., M) bool.
+        pair: (..., N, M) bool, both.
+    """
+
+    source: Tensor
+    target: Tensor
+    pair: Tensor
+
+
+def score_masks(scores: Tensor, source_valid: Tensor | None, target_valid: Tensor | None) -> Masks:
+    """The masks of scores (..., N, M), all true where none are given, after a check of all three.
+
+    Raises:
+        ValueError: shapes or dtypes do not fit.
+    """
+    expect_floating(scores, "scores")
+    expect(scores.ndim >= 2, "scores", "(..., N, M)", scores)
+    source = _mask(source_valid, "source_valid", scores, scores.shape[:-1])
+    target = _mask(target_valid, "target_valid", scores, scores.shape[:-2] + scores.shape[-1:])
+    return Masks(source, target, source[..., :, None] & target[..., None, :])
+
+
+def one_number(value: float | Tensor, name: str, like: Tensor) -> Tensor:
+    """A number or a tensor of one element as () of the dtype and device of ``like``; gradients flow on.
+
+    Raises:
+        ValueError: several elements.
+    """
+    if isinstance(value, Tensor):
+        expect(value.numel() == 1, name, "one number", value)
+        return value.reshape(()).to(like)
+    return torch.full((), value, dtype=like.dtype, device=like.device)
 
 
 def _log_softmax(logits: Tensor, counted: Tensor, dustbin: Tensor | None, dim: int) -> Tensor:
@@ -62,3 +103,11 @@ def _log_softmax(logits: Tensor, counted: Tensor, dustbin: Tensor | None, dim: i
     if dustbin is not None:
         total = torch.logaddexp(total, dustbin)
     return logits - total
+
+
+def _mask(valid: Tensor | None, name: str, like: Tensor, shape: torch.Size) -> Tensor:
+    if valid is None:
+        return torch.ones(shape, dtype=torch.bool, device=like.device)
+    expect(valid.shape == shape, name, f"{tuple(shape)}", valid)
+    expect_dtype(valid, name, torch.bool)
+    return valid

@@ -1,14 +1,19 @@
-"""Mutual nearest neighbors in feature space (the paper, section 4.1)."""
+"""Mutual nearest neighbors in feature space (the paper, section 4.1).
+
+A pair (i, j) is mutual when fewer than K queries are nearer to j than i is. Queries that have j among their own
+nearest are known with their exact distances; of all others the least entries of column j are at hand. A pair is
+undecided where these lie within the bound on rounding, or are too few to rule it out; a search back then decides.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, fraction
-from torchreg.matching.nearest import feature_nearest
-from torchreg.matching.order import lexicographic
-from torchreg.matching.rivals import candidate_pairs
+from torchreg.matching.nearest import FeatureNearest, feature_nearest, lexicographic, rank
 from torchreg.types import Correspondences, Features
 from torchreg.types.packing import offsets_of, spans
 
@@ -35,13 +40,7 @@ def match_mutual(
         ValueError: different numbers of clouds, widths or dtypes, a ratio outside (0, 1], ``neighbors`` below 1, or
             a ratio and ``neighbors`` above 1: a second nearest that is as good would be a match of its own.
     """
-    expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
-    expect(
-        source.values.shape[1] == target.values.shape[1] and source.values.dtype == target.values.dtype,
-        "target",
-        f"features of width {source.values.shape[1]}, {source.values.dtype}",
-        target.values,
-    )
+    expect_comparable(source, target)
     at_least(neighbors, "neighbors", 1)
     if ratio is not None:
         fraction(ratio, "ratio")
@@ -56,6 +55,17 @@ def match_mutual(
         target=torch.cat([empty, *(part[1] for part in parts)]),
         offsets=offsets_of(len(part[0]) for part in parts),
         score=torch.cat([source.values.new_zeros(0), *(part[2] for part in parts)]),
+    )
+
+
+def expect_comparable(source: Features, target: Features) -> None:
+    """Raise ``ValueError`` where the numbers of clouds, the widths or the dtypes of two sides differ."""
+    expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
+    expect(
+        source.values.shape[1] == target.values.shape[1] and source.values.dtype == target.values.dtype,
+        "target",
+        f"features of width {source.values.shape[1]}, {source.values.dtype}",
+        target.values,
     )
 
 
@@ -74,21 +84,61 @@ def _match_pair(
         return of_source[:0], of_target[:0], left.new_zeros(0)
     forth = feature_nearest(left, right, neighbors if ratio is None else 2)
     pairs = candidate_pairs(forth, neighbors)
-    stands = pairs.stands
+    mutual, undecided = pairs.mutual, pairs.undecided
     if ratio is not None and len(right) > 1:
         passes = forth.distance[:, 0] < ratio * forth.distance[:, 1]
-        stands, pairs = stands & passes, pairs._replace(open=pairs.open & passes)
-    doubtful = pairs.open.nonzero()[:, 0]
+        mutual, undecided = mutual & passes, undecided & passes
+    doubtful = undecided.nonzero()[:, 0]
     if len(doubtful) > 0:
         # back from the targets of those pairs alone
         wanted, number = pairs.target[doubtful].unique(return_inverse=True)
         back = feature_nearest(right[wanted], left, neighbors).row[number]
-        stands[doubtful] = (back == pairs.source[doubtful, None]).any(dim=1)
-    i, j = pairs.source[stands], pairs.target[stands]
+        mutual[doubtful] = (back == pairs.source[doubtful, None]).any(dim=1)
+    i, j = pairs.source[mutual], pairs.target[mutual]
     order = lexicographic(j, i)
     i, j = i[order], j[order]
-    return of_source[i], of_target[j], pairs.distance[stands][order].to(left.dtype)
+    return of_source[i], of_target[j], pairs.distance[mutual][order].to(left.dtype)
 
 
 def _usable(features: Features, begin: int, end: int) -> Tensor:
     return begin + features.valid[begin:end].nonzero()[:, 0]
+
+
+class CandidatePairs(NamedTuple):
+    """Pairs of a query and one of its nearest.
+
+    Attributes:
+        source, target: (C,) int64, rows of the query and of the table.
+        distance: (C,) float64.
+        mutual: (C,) bool, certainly mutual.
+        undecided: (C,) bool, not known; a pair that is neither is certainly not mutual.
+    """
+
+    source: Tensor
+    target: Tensor
+    distance: Tensor
+    mutual: Tensor
+    undecided: Tensor
+
+
+def candidate_pairs(forth: FeatureNearest, neighbors: int) -> CandidatePairs:
+    """Judge the pairs of every query with its ``neighbors`` nearest; ``forth`` may list more of them."""
+    i = torch.arange(len(forth.row), device=forth.row.device)[:, None].expand_as(forth.row)  # (N, K)
+    before = _clear_before(i.flatten(), forth.row.flatten(), forth.distance.flatten(), forth.clear)
+    i, j, distance = (item[:, :neighbors].flatten() for item in (i, forth.row, forth.distance))  # (C,)
+    factors, others = forth.factors, forth.others[:, j].double()  # (K, C)
+    scaled, norm, longest = distance / factors.scale, factors.right_norm[j], factors.left_norm.amax()
+    nearer = others + factors.error(norm, factors.reach(norm, others, longest)) < scaled.square()
+    count = nearer.sum(dim=0) + before.view_as(forth.row)[:, :neighbors].flatten()
+    possible = count < neighbors
+    alone = forth.clear[i] & (others[0] > scaled.square() + factors.error(norm, scaled))
+    return CandidatePairs(i, j, distance, possible & alone, possible & ~alone)
+
+
+def _clear_before(i: Tensor, j: Tensor, distance: Tensor, clear: Tensor) -> Tensor:
+    """How many pairs of clear queries have the same j and a lesser (distance, i); (C,) int64. ``i`` ascends."""
+    order = lexicographic(distance, j)
+    counts = clear[i[order]].long()
+    before = counts.cumsum(0) - counts  # over all j
+    begin = torch.arange(len(j), device=j.device) - rank(j[order])
+    return torch.empty_like(j).scatter_(0, order, before - before[begin])

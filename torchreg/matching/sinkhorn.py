@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchreg.errors import at_least
 from torchreg.geometry.numerics.derivatives import TensorFunction, derivative_wanted, transformed
-from torchreg.matching.pair_masks import one_number, score_masks
+from torchreg.matching.dual_softmax import one_number, score_masks
 
 
 def sinkhorn(
@@ -58,11 +58,11 @@ def sinkhorn(
     """
     masks = score_masks(scores, source_valid, target_valid)
     at_least(iterations, "iterations", 1)
-    none = one_number(dustbin, "dustbin", scores)
+    no_partner = one_number(dustbin, "dustbin", scores)
     lead = scores.shape[:-2]
     inner = torch.where(masks.pair, scores, 0)
-    right = none.expand(*lead, scores.shape[-2], 1)
-    below = none.expand(*lead, 1, scores.shape[-1] + 1)
+    right = no_partner.expand(*lead, scores.shape[-2], 1)
+    below = no_partner.expand(*lead, 1, scores.shape[-1] + 1)
     Z = torch.cat([torch.cat([inner, right], dim=-1), below], dim=-2)  # (..., N+1, M+1)
     log_mu, log_nu = _log_masses(masks.source, masks.target, Z), _log_masses(masks.target, masks.source, Z)
     if not derivative_wanted(Z) or transformed(Z):
@@ -72,12 +72,12 @@ def sinkhorn(
     return plan[..., :-1, :-1]
 
 
-def _log_masses(own: Tensor, other: Tensor, like: Tensor) -> Tensor:
+def _log_masses(side: Tensor, other: Tensor, like: Tensor) -> Tensor:
     """(..., N+1): 0 for points that take part, -inf for others, and the number of the other side for the dustbin.
 
     That number is 1 at least: where it should be 0, so is every confidence, and no sum of exponentials is empty.
     """
-    points = torch.zeros(own.shape, dtype=like.dtype, device=like.device).masked_fill(~own, -torch.inf)
+    points = torch.zeros(side.shape, dtype=like.dtype, device=like.device).masked_fill(~side, -torch.inf)
     count = other.sum(dim=-1, keepdim=True).clamp(min=1).to(like.dtype)
     return torch.cat([points, count.log()], dim=-1)
 

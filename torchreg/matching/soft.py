@@ -1,19 +1,20 @@
 """Soft matching of features: confidences for all pairs of points, where ``match_mutual`` says yes or no.
 
-Alike are features that lie close, s_ij = -|f_i - g_j|^2 / temperature, so that the confident pairs of a dual softmax
+Features that lie close are alike, s_ij = -|f_i - g_j|^2 / temperature, so that the confident pairs of a dual softmax
 at a low temperature are the mutual nearest neighbors.
 """
 
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchreg.errors import at_least, expect, one_of, positive
-from torchreg.matching.dual_softmax import dual_softmax
-from torchreg.matching.pair_masks import one_number
+from torchreg.errors import at_least, expect, expect_shape, one_of, positive
+from torchreg.matching.dual_softmax import dual_softmax, one_number
+from torchreg.matching.mutual import expect_comparable
 from torchreg.matching.sinkhorn import sinkhorn
 from torchreg.types import Features, SoftCorrespondences
 from torchreg.types.packing import spans
@@ -30,7 +31,7 @@ def soft_match(
     dustbin: float | Tensor | None = None,
     iterations: int = 50,
 ) -> SoftCorrespondences:
-    """How far every pair of points is the same place, by features alone.
+    """Confidence that a pair of points is the same place, of all pairs, by features alone.
 
     Args:
         source: features of B clouds, finite where valid.
@@ -38,8 +39,8 @@ def soft_match(
         method: ``"dual_softmax"`` or ``"sinkhorn"`` (optimal transport), as the functions of these names.
         temperature: of squared distances of features, above 0: a number, or a tensor of one element. (Two rows of
             ``fuse`` without negative values lie at most 2 apart per block, in squares.)
-        dustbin: minus the squared distance from which on a point has rather no partner than that one, a number or a
-            tensor of one element; ``None``: no dustbin, which Sinkhorn does not do without.
+        dustbin: minus the squared distance beyond which a point rather has no partner, a number or a tensor of one
+            element; ``None``: no dustbin, which Sinkhorn cannot do without.
         iterations: of Sinkhorn; dual softmax has none.
 
     Returns:
@@ -58,29 +59,75 @@ def soft_match(
                 [0., 1., 0.],
                 [0., 0., 0.]])
     """
-    expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
-    expect(
-        source.values.shape[1] == target.values.shape[1] and source.values.dtype == target.values.dtype,
-        "target",
-        f"features of width {source.values.shape[1]}, {source.values.dtype}",
-        target.values,
-    )
+    expect_comparable(source, target)
     one_of(method, "method", METHODS)
     expect(method == "dual_softmax" or dustbin is not None, "dustbin", "a number with Sinkhorn", dustbin)
     at_least(iterations, "iterations", 1)
     if not isinstance(temperature, Tensor):
         positive(temperature, "temperature")
     scale = one_number(temperature, "temperature", source.values)
-    none = None if dustbin is None else one_number(dustbin, "dustbin", source.values) / scale
-    solve = dual_softmax if none is None else partial(dual_softmax, dustbin=none)
-    if method == "sinkhorn" and none is not None:
-        solve = partial(sinkhorn, dustbin=none, iterations=iterations)
+    no_partner = None if dustbin is None else one_number(dustbin, "dustbin", source.values) / scale
+    confidences = partial(dual_softmax, dustbin=no_partner)
+    if method == "sinkhorn" and no_partner is not None:
+        confidences = partial(sinkhorn, dustbin=no_partner, iterations=iterations)
     confidence = []
     for (i, j), (k, m) in zip(spans(source.offsets), spans(target.offsets), strict=True):
         masks = source.valid[i:j], target.valid[k:m]
         distance = squared_distances(source.values[i:j], target.values[k:m], *masks)
-        confidence.append(solve(-distance / scale, source_valid=masks[0], target_valid=masks[1]))
+        confidence.append(confidences(-distance / scale, source_valid=masks[0], target_valid=masks[1]))
     return SoftCorrespondences(tuple(confidence), source.offsets, target.offsets)
+
+
+class SoftTargets(NamedTuple):
+    """One expected partner per source point of a packed batch.
+
+    Attributes:
+        points: (P, 3) meters, in the frame of the target points given; zeros where the weight is 0.
+        weights: (P,) the confidence that the point has a partner at all: the sum of its row.
+    """
+
+    points: Tensor
+    weights: Tensor
+
+
+def soft_targets(matches: SoftCorrespondences, target: Tensor) -> SoftTargets:
+    """The expected position of every source point's partner.
+
+    Args:
+        matches: of B pairs.
+        target: (Q, 3) points of the packed target clouds, such as ``Clouds.points``.
+
+    Returns:
+        q_i = sum_j C_ij q_j / w_i and w_i = sum_j C_ij. As minimizing sum_ij C_ij |R p_i + t - q_j|^2 and minimizing
+        sum_i w_i |R p_i + t - q_i|^2 differ by a constant alone, ``kabsch`` with these is the least-squares pose over
+        all pairs. Gradients flow to confidences and points; they are zero where a weight is 0.
+
+    Raises:
+        ValueError: another number of points than the matches have targets.
+
+    Example:
+        >>> import torch
+        >>> both = SoftCorrespondences((torch.tensor([[0.2, 0.2]]),), torch.tensor([0, 1]), torch.tensor([0, 2]))
+        >>> soft_targets(both, torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])).points
+        tensor([[0.5000, 0.0000, 0.0000]])
+    """
+    expect_shape(target, "target", ("Q", 3))
+    expected = int(matches.target_offsets[-1])
+    expect(len(target) == expected, "target", f"{expected} points, as the matches have", target)
+    parts = [
+        expected_targets(confidence, target[k:m])
+        for confidence, (k, m) in zip(matches.confidence, spans(matches.target_offsets), strict=True)
+    ]
+    points = torch.cat([target[:0], *(part.points for part in parts)])
+    return SoftTargets(points, torch.cat([target[:0, 0], *(part.weights for part in parts)]))
+
+
+def expected_targets(confidence: Tensor, target: Tensor) -> SoftTargets:
+    """The same from confidences (..., N, M) and points (..., M, 3): points (..., N, 3), weights (..., N)."""
+    weights = confidence.sum(dim=-1)
+    some = weights > torch.finfo(weights.dtype).tiny ** 0.5  # whose reciprocal squared is finite
+    share = torch.where(some, 1 / torch.where(some, weights, 1), 0)
+    return SoftTargets(confidence @ target * share[..., None], torch.where(some, weights, 0))
 
 
 def squared_distances(source: Tensor, target: Tensor, source_valid: Tensor, target_valid: Tensor) -> Tensor:

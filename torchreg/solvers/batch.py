@@ -53,7 +53,7 @@ def poses_of_pairs(
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
     """
-    check_matches(source, target, matches)
+    _check_matches(source, target, matches)
     counts = matches.offsets.diff().tolist()
     failures = _failures(source, target, matches, solvers)
     poses = {b: no_pose(counts[b], source.device, failure) for b, failure in enumerate(failures) if failure}
@@ -65,23 +65,23 @@ def poses_of_pairs(
             group = [solvers[b] for b in members]
             thresholds = [solver.inlier_threshold for solver in group]
             points = gather_points(source, target, matches, members, thresholds, seed)
-            poses.update((members[place], found) for place, found in _solve_group(points, group))
+            poses.update((members[place], result) for place, result in _solve_group(points, group))
     return [poses[b] for b in range(len(matches))]
-
-
-def check_matches(source: Clouds, target: Clouds, matches: Correspondences) -> None:
-    """Raise ``ValueError`` where the numbers of pairs differ, or a match names a row outside its pair's clouds."""
-    pairs = len(matches)
-    expect(len(source) == pairs and len(target) == pairs, "matches", f"{len(source)} pairs", pairs)
-    expect(len(target) == len(source), "target", f"{len(source)} clouds, as the source has", len(target))
-    _check_rows(matches.source, source, matches.offsets, "matches.source")
-    _check_rows(matches.target, target, matches.offsets, "matches.target")
 
 
 def too_few_matches(count: int, needed: int) -> Failure:
     """Fewer matches than fix a transform."""
     text = f"too few matches: {count}, and a sample needs {needed}"
     return Failure("too few matches", text, {"matches": count, "needed": needed})
+
+
+def _check_matches(source: Clouds, target: Clouds, matches: Correspondences) -> None:
+    """Raise ``ValueError`` where the numbers of pairs differ, or a match names a row outside its pair's clouds."""
+    pairs = len(matches)
+    expect(len(source) == pairs and len(target) == pairs, "matches", f"{len(source)} pairs", pairs)
+    expect(len(target) == len(source), "target", f"{len(source)} clouds, as the source has", len(target))
+    _check_rows(matches.source, source, matches.offsets, "matches.source")
+    _check_rows(matches.target, target, matches.offsets, "matches.target")
 
 
 def _solve_group(points: PairPoints, solvers: Sequence[Solver]) -> Iterator[tuple[int, PairPoses]]:

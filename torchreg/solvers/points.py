@@ -25,11 +25,13 @@ class MatchedPoints(NamedTuple):
     Attributes:
         source: (3, M) float64, meters, about the mean of the matched points.
         target: (3, M) float64, likewise.
+        score: (M,) as ``Correspondences.score``: the smaller, the better.
         seed: of this pair, made from the call's seed and the correspondences.
     """
 
     source: Tensor
     target: Tensor
+    score: Tensor
     seed: int
 
 
@@ -40,6 +42,7 @@ class PairPoints(NamedTuple):
         source: (3, B, M) float64, meters, about each pair's mean; zeros behind the last of a pair.
         target: (3, B, M) float64, likewise.
         valid: (B, M) bool, where a correspondence stands.
+        score: (B, M) of the correspondences.
         counts: how many each pair has.
         thresholds: inlier threshold of each pair, meters.
         source_center: (B, 3) float64, the means, meters.
@@ -50,6 +53,7 @@ class PairPoints(NamedTuple):
     source: Tensor
     target: Tensor
     valid: Tensor
+    score: Tensor
     counts: tuple[int, ...]
     thresholds: tuple[float, ...]
     source_center: Tensor
@@ -60,7 +64,7 @@ class PairPoints(NamedTuple):
         """One of the pairs, as a solver takes it."""
         filled = slice(0, self.counts[place])
         source, target = (side[:, place, filled].contiguous() for side in (self.source, self.target))
-        return MatchedPoints(source, target, self.seeds[place])
+        return MatchedPoints(source, target, self.score[place, filled], self.seeds[place])
 
     def take(self, places: Sequence[int]) -> PairPoints:
         """Some of the pairs, in this order."""
@@ -70,7 +74,8 @@ class PairPoints(NamedTuple):
         counts, seeds = (tuple(values[place] for place in places) for values in (self.counts, self.seeds))
         thresholds = tuple(self.thresholds[place] for place in places)
         widest = slice(0, max(counts))
-        padded = (self.source[:, index, widest], self.target[:, index, widest], self.valid[index, widest])
+        source, target = self.source[:, index, widest], self.target[:, index, widest]
+        padded = (source, target, self.valid[index, widest], self.score[index, widest])
         return PairPoints(*padded, counts, thresholds, self.source_center[index], self.target_center[index], seeds)
 
     def squared_thresholds(self) -> Tensor:
@@ -102,7 +107,8 @@ def gather_points(
         sides.append((torch.where(valid, wide - center[..., None], 0.0), center.t(), (rows - first)[valid]))
     (p, source_center, rows_p), (q, target_center, rows_q) = sides
     seeds = tuple(pair_seeds(seed, rows_p, rows_q, counts))
-    return PairPoints(p, q, valid, tuple(counts), tuple(thresholds), source_center, target_center, seeds)
+    padded = (p, q, valid, matches.score[place])
+    return PairPoints(*padded, tuple(counts), tuple(thresholds), source_center, target_center, seeds)
 
 
 def first_of_each(pair: Tensor) -> Tensor:

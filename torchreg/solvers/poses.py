@@ -116,13 +116,13 @@ def _distinct(hypotheses: Sequence[Hypotheses], points: PairPoints, rounds: int,
     def distinct(poses: Scored) -> Scored:
         poses = poses.take(poses.best_first())
         vectors = pose_vectors_of_pairs(poses.rotation, poses.translation, poses.pair, points)
-        return poses.take(spread_out_pairs(vectors, poses.pair, radii, POSES))
+        return poses.take(spread_out(vectors, poses.pair, radii, POSES))
 
     leaders = exact((ranks(pair) < LEADERS).nonzero()[:, 0])
     leaders = leaders.take(leaders.best_first())
     leaders = leaders.take((ranks(leaders.pair) < OPTIMIZED).nonzero()[:, 0])
     vectors = pose_vectors_of_pairs(rotation, translation, pair, points)
-    others = exact(spread_out_pairs(vectors, pair, radii, _SPREAD))
+    others = exact(spread_out(vectors, pair, radii, _SPREAD))
     poses = distinct(optimize(leaders.join(others), points, min(rounds, _FIRST_ROUNDS), quality))
     return distinct(optimize(poses, points, rounds - _FIRST_ROUNDS, quality))
 
@@ -142,23 +142,8 @@ def pose_vectors_of_pairs(rotation: Tensor, translation: Tensor, pair: Tensor, p
     return _vectors(rotation, translation, mean.to(rotation)[:, pair], root.to(rotation)[..., pair])
 
 
-def spread_out(vectors: Tensor, radius: float, count: int) -> Tensor:
-    """Choose poses one by one, leaving out those nearer than ``radius`` to a chosen one.
-
-    Args:
-        vectors: (12, H), best first.
-        radius: meters.
-        count: how many at most.
-
-    Returns:
-        (K,) int64 places, ascending.
-    """
-    one_pair = torch.zeros(vectors.shape[1], dtype=torch.int64, device=vectors.device)
-    return spread_out_pairs(vectors, one_pair, [radius], count)
-
-
-def spread_out_pairs(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int) -> Tensor:
-    """``spread_out`` of the poses of each pair by themselves, all pairs in step.
+def spread_out(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int) -> Tensor:
+    """Choose poses one by one, leaving out those nearer than a radius to a chosen one of the same pair.
 
     Args:
         vectors: (12, H), those of a pair together, best first.

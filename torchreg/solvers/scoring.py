@@ -51,11 +51,10 @@ def propose_counts(rotation: Tensor, translation: Tensor, correspondences: Tenso
     limit = threshold * threshold - (translation * translation).sum(dim=0)[:, None]  # (H, 1)
     count = torch.empty(len(vectors), dtype=vectors.dtype, device=vectors.device)
     width = correspondences.shape[1]
-    step = max(1, _TILE_ELEMENTS // max(1, width))
-    buffer = vectors.new_empty(min(step, len(vectors)), width)
-    for begin in range(0, len(vectors), step):
-        rows = slice(begin, min(begin + step, len(vectors)))
-        tile = torch.mm(vectors[rows], correspondences, out=buffer[: rows.stop - begin])
+    tiles = list(row_chunks(len(vectors), width, _TILE_ELEMENTS))
+    buffer = vectors.new_empty(tiles[0].stop if tiles else 0, width)
+    for rows in tiles:
+        tile = torch.mm(vectors[rows], correspondences, out=buffer[: rows.stop - rows.start])
         torch.sum(tile.lt_(limit[rows]), dim=1, out=count[rows])
     return count
 

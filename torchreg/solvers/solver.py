@@ -31,14 +31,14 @@ class Hypotheses:
         kept: of those, how many passed the solver's first test.
         total: of those, how many were added, and so scored on all correspondences.
         stored: how many are still held; those with the lowest counts of very many are dropped.
-        lack: what became of them when none was added, in words that follow "no hypothesis left: ".
+        explanation: why none was added, in words that follow "no hypothesis left: ".
     """
 
     def __init__(self, points: MatchedPoints, threshold: float) -> None:
         dtype = proposal_dtype(points.source, points.target, threshold)
         self.source, self.target = points.source.to(dtype), points.target.to(dtype)
         self.drawn = self.kept = self.total = self.stored = 0
-        self.lack = ""
+        self.explanation = ""
         self._threshold = threshold
         self._vectors = correspondence_vectors(self.source, self.target)
         self._rotation = [self.source.new_empty(3, 3, 0)]
@@ -55,9 +55,9 @@ class Hypotheses:
         """Why there is no hypothesis, ``None`` where there is one."""
         if self.total > 0:
             return None
-        lack = self.lack or f"of {self.drawn} begun {self.kept} passed the first test, and none gave a transform"
+        text = self.explanation or f"of {self.drawn} begun {self.kept} passed the first test, and none gave a transform"
         figures = {"drawn": self.drawn, "kept": self.kept}
-        return Failure("no hypothesis", f"no hypothesis left: {lack}", figures)
+        return Failure("no hypothesis", f"no hypothesis left: {text}", figures)
 
     def add(self, rotation: Tensor, translation: Tensor) -> Tensor:
         """Enter hypotheses (3, 3, H), (3, H): x_target = R x_source + t in the frames of the points.
@@ -74,20 +74,18 @@ class Hypotheses:
         self.total += len(proposed)
         self.stored += len(proposed)
         if self.stored > 2 * _STORED:
-            rotation, translation, key = self._all()
-            top = key.topk(_STORED).indices
-            self._rotation, self._translation, self._key = [rotation[..., top]], [translation[:, top]], [key[top]]
-            self.stored = len(top)
+            self._rotation, self._translation, self._key = ([part] for part in self._top(_STORED))
+            self.stored = _STORED
         return proposed
 
     def best(self, count: int) -> tuple[Tensor, Tensor]:
         """Rotations (3, 3, F) and translations (3, F), best first."""
-        rotation, translation, key = self._all()
-        top = key.topk(min(count, len(key))).indices
-        return rotation[..., top], translation[:, top]
+        return self._top(count)[:2]
 
-    def _all(self) -> tuple[Tensor, Tensor, Tensor]:
-        return torch.cat(self._rotation, dim=-1), torch.cat(self._translation, dim=-1), torch.cat(self._key)
+    def _top(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        key = torch.cat(self._key)
+        top = key.topk(min(count, len(key))).indices
+        return torch.cat(self._rotation, dim=-1)[..., top], torch.cat(self._translation, dim=-1)[:, top], key[top]
 
 
 @dataclass(frozen=True, kw_only=True)

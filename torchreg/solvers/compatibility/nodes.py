@@ -20,7 +20,6 @@ from torchreg.solvers.compatibility.graph import TILE_ELEMENTS, agreeing, length
 
 _ANCHORS = 1024  # of which the histograms are made
 _BINS = 512
-_MORE_ROUNDS = 1
 _COLUMNS = 4096
 
 
@@ -34,11 +33,9 @@ def choose_nodes(source: Tensor, target: Tensor, threshold: float, count: int) -
         return torch.arange(matches, device=source.device)
     points = (source, target)
     excess = _excess(points, points, degrees(source, target, threshold), threshold)
-    for _ in range(_MORE_ROUNDS):
-        chosen = _highest(excess, count)
-        others = (source[:, chosen].contiguous(), target[:, chosen].contiguous())
-        excess = _excess(points, others, degrees_among(points, others, threshold), threshold)
-    return _highest(excess, count)
+    chosen = _highest(excess, count)
+    others = (source[:, chosen].contiguous(), target[:, chosen].contiguous())
+    return _highest(_excess(points, others, degrees_among(points, others, threshold), threshold), count)
 
 
 def degrees(source: Tensor, target: Tensor, threshold: float) -> Tensor:
@@ -50,9 +47,9 @@ def degrees(source: Tensor, target: Tensor, threshold: float) -> Tensor:
         degree[rows] += agreeing(p, q, (p, q), threshold, spare).sum(dim=1)
         for begin in range(rows.stop, matches, _COLUMNS):
             columns = slice(begin, min(begin + _COLUMNS, matches))
-            found = agreeing(p, q, (source[:, columns], target[:, columns]), threshold, spare)
-            degree[rows] += found.sum(dim=1)
-            degree[columns] += found.sum(dim=0)
+            agree = agreeing(p, q, (source[:, columns], target[:, columns]), threshold, spare)
+            degree[rows] += agree.sum(dim=1)
+            degree[columns] += agree.sum(dim=0)
     return degree
 
 

@@ -28,15 +28,13 @@ class CompatibilityOptions(Solver):
     """How sets of correspondences that keep their distances are formed and accepted.
 
     Attributes:
-        inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier, and
-            two correspondences agree when their distances in the two clouds differ by less.
+        inlier_threshold: meters, as every ``Solver``'s; also, two correspondences agree when their distances in the
+            two clouds differ by less.
         nodes: correspondences that are compared each with each, at most 4,095; of more, those that agree with more
             others than chance gives are taken. Memory grows with the square, time with the cube.
         partners: in the first set of a seed, those that share the most partners with it.
         members: of its final set, the seed counted.
-        local_optimization: rounds of refitting to the inliers of the best transforms; 0 keeps those of the sets.
-        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
-            for 1 - (residual / threshold)^2.
+        local_optimization, scoring: as every ``Solver``'s.
     """
 
     name: ClassVar[str] = "compatibility"
@@ -124,7 +122,7 @@ def _propose_together(solvers: Sequence[CompatibilityOptions], points: Sequence[
     for solver, pair, each, (R, t, fixed) in zip(solvers, points, sets, fits, strict=True):
         hypotheses = Hypotheses(pair, solver.inlier_threshold)
         hypotheses.drawn, hypotheses.kept = each.source.shape[1], len(each.members)
-        hypotheses.lack = (
+        hypotheses.explanation = (
             f"of {hypotheses.drawn} correspondences {hypotheses.kept} have {_LEAST - 1} partners that keep "
             f"their distances within {solver.inlier_threshold:g} m, and none with partners off one line"
         )

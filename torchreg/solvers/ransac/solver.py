@@ -30,12 +30,8 @@ class RansacOptions(Solver):
             the count of inliers alone, whatever the ``scoring``; 1.0 draws all of them.
         edge_similarity: in [0, 1]; a sample stays when each edge's length in the one cloud is at least
             this fraction of its length in the other.
-        inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier.
         sample_size: correspondences in a minimal sample, at least 3.
-        local_optimization: rounds of refitting to the inliers of the best hypotheses; 0 keeps the minimal
-            solution.
-        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
-            for 1 - (residual / threshold)^2.
+        inlier_threshold, local_optimization, scoring: as every ``Solver``'s.
     """
 
     name: ClassVar[str] = "ransac"
@@ -90,7 +86,7 @@ class RansacOptions(Solver):
                     best_count = max(best_count, int((square < threshold * threshold).sum()))
                 if hypotheses.drawn >= _hypotheses_needed(best_count / count, self.sample_size, self.confidence):
                     break
-        hypotheses.lack = (
+        hypotheses.explanation = (
             f"of {hypotheses.drawn} samples {hypotheses.kept} passed the edge-length test, "
             f"and none fits within {threshold:g} m"
         )
