@@ -8,12 +8,12 @@ from torch import Tensor
 
 
 class Candidate(NamedTuple):
-    """One pose that was weighed on the clouds. Numbers that nothing speaks of are NaN.
+    """One pose that was weighed on the clouds. Figures without evidence are NaN.
 
     Attributes:
         origin: what proposed it, such as "fpfh + contrast, compatibility" or "slide" for a probe of the verdict.
         T_target_source: (4, 4) float64, meters, origins included.
-        support: matches that it brings within the inlier threshold, of the proposal that speaks loudest for it.
+        support: matches that it brings within the inlier threshold, of the proposal whose matches support it most.
         matches: how many matches that proposal had.
         surprise: -log10 of the probability that as many unrelated matches agree.
         overlap: share of points with a partner nearer than the threshold, mean over both directions.
