@@ -20,7 +20,6 @@ from torchreg.verification.model import (
     save_terms,
     term_values,
 )
-from torchreg.verification.reasons import accepted
 
 odds = st.lists(st.floats(-700, 700), min_size=1, max_size=20)
 
@@ -107,11 +106,3 @@ def test_the_weights_tell_where_they_come_from():
         assert content["fitted"][key]
     assert content["validated"]["machine"]["commit"]
     assert load_terms() == TERMS
-
-
-@pytest.mark.parametrize(
-    ("probability", "odds", "expected"),
-    [(0.9, [3.0], True), (0.9, [3.0, 0.5], True), (0.9, [3.0, 2.5], False), (0.5, [0.1], False)],
-)
-def test_a_success_is_probable_and_ahead_of_its_runner_up(probability, odds, expected):
-    assert accepted(probability, torch.tensor(odds, dtype=torch.float64)) is expected

@@ -87,8 +87,8 @@ def few_points(seed: int, count: int, flat: bool) -> Problem:
     cloud = Clouds(points=points, normals=up, colors=torch.full((count, 3), 0.5))
     none = torch.zeros(0, dtype=torch.int64)
     eye = torch.eye(3, dtype=torch.float64)[None]
-    found = poses_of(eye, torch.full((1, 3), 0.01, dtype=torch.float64), 0)
-    return Problem(cloud, cloud, [(none, none), (none, none)], [found, found], PairLengths(0.3, 0.2))
+    poses = poses_of(eye, torch.full((1, 3), 0.01, dtype=torch.float64), 0)
+    return Problem(cloud, cloud, [(none, none), (none, none)], [poses, poses], PairLengths(0.3, 0.2))
 
 
 def mixed() -> list[Problem]:
@@ -124,8 +124,8 @@ def judged(problems: list[Problem]):
         ]
         offsets = offsets_of(len(row) for row in rows[0])
         score = torch.ones(int(offsets[-1]))
-        found = Correspondences(source=torch.cat(rows[0]), target=torch.cat(rows[1]), offsets=offsets, score=score)
-        proposed.append(ProposedPoses(f"proposal {number}", found, [one.poses[number] for one in problems]))
+        matches = Correspondences(source=torch.cat(rows[0]), target=torch.cat(rows[1]), offsets=offsets, score=score)
+        proposed.append(ProposedPoses(f"proposal {number}", matches, [one.poses[number] for one in problems]))
     return verify(source, target, proposed, [one.lengths for one in problems], WORK)
 
 

@@ -2,7 +2,7 @@
 
 A scanner that measured a surface at range r in some direction saw nothing before it. A point of the other scan
 that falls well short of r in that direction contradicts the pose, unless the scene changed in between. Points
-behind the surface say nothing: they are hidden. The ranges are kept as an image over the sphere, unfolded by the
+behind the surface are hidden and count neither way. The ranges are kept as an image over the sphere, unfolded by the
 octahedral map (Cigolle et al., JCGT 3(2), 2014), which has no poles.
 """
 
@@ -26,7 +26,7 @@ class RangeImage(NamedTuple):
         viewpoint: (3,) float, meters, in the frame of the points.
         ranges: (S, S), meters; infinite where nothing was seen. Each cell holds the least of itself and its neighbors.
         seen: (S, S) bool, cells in which the scanner measured something.
-        near: meters; closer than that the points are too sparse in angle to speak of free space.
+        near: meters; closer than that the points are too sparse in angle to tell free space.
     """
 
     viewpoint: Tensor
@@ -68,7 +68,7 @@ class Visibility(NamedTuple):
 
 
 def range_image(points: Tensor, viewpoint: Tensor, spacing: float) -> RangeImage | None:
-    """The image of one cloud (N, 3) as seen from (3,); ``None`` where it says nothing, as for a scanner not known."""
+    """The image of one cloud (N, 3) seen from (3,); ``None`` if that is not known, or too close to the points."""
     if len(points) == 0 or not bool(torch.isfinite(viewpoint).all()):
         return None
     ray = (points - viewpoint).t()
@@ -106,7 +106,7 @@ def visibility(images: RangeImages, which: Tensor, points: Tensor, margin: Tenso
 
     Args:
         images: of G scanners.
-        which: (R,) int64, the scanner that each row is held against.
+        which: (R,) int64, whose image each row is compared with.
         points: (3, R, N), in the scanners' frames, meters.
         margin: (R,) meters; it tells before from on.
     """

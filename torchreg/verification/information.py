@@ -1,7 +1,7 @@
 """How firmly the overlapping surfaces hold a pose.
 
 Two 6x6 matrices over the same points. Open3D's information matrix sums J^T J of point-to-point residuals, which
-every pair of points holds in all directions. A scan slides along a plane or an axis all the same: there only the
+resist motion in all directions. A scan slides along a plane or an axis all the same: there only the
 residuals across the surface count, those of point-to-plane. The balance of that second matrix is the strength
 (Gelfand et al., Geometrically stable sampling for the ICP algorithm, 3DIM 2003, doi:10.1109/IM.2003.1240258).
 """
@@ -16,6 +16,7 @@ from torch import Tensor
 from torchreg.geometry.numerics.sums import padded_row_sums
 
 _LEAST = 6  # points that can hold a pose
+_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # xx, yy, zz, xy, xz, yz
 
 
 class WeakestMotion(NamedTuple):
@@ -58,9 +59,6 @@ def information_matrices(points: Tensor, valid: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-
-
 def strengths(points: Tensor, normals: Tensor, valid: Tensor) -> Tensor:
     """The strength (R,) of R poses: points (3, R, L) on surfaces with normals (3, R, L), where ``valid`` (R, L)."""
     return _strength(_plane_information(points, normals, valid).matrix, valid)[0]
@@ -84,7 +82,7 @@ def weakest_motions(points: Tensor, normals: Tensor, valid: Tensor) -> WeakestMo
 
 
 class _PlaneInformation(NamedTuple):
-    """Point-to-plane information (R, 6, 6), centers (3, R) and sizes (R,), all over the points that are valid."""
+    """Point-to-plane information (R, 6, 6), centers (3, R) and sizes (R,), all over the valid points."""
 
     matrix: Tensor
     center: Tensor

@@ -188,8 +188,8 @@ def prepared_pairs(pairs: Sequence[CenteredPair], sample: int) -> PreparedPairs:
     )
 
 
-def poses_of_pairs(pairs: Sequence[CenteredPair]) -> Poses:
-    """The poses of G pairs, pair by pair."""
+def initial_poses(pairs: Sequence[CenteredPair]) -> Poses:
+    """The proposed poses of G pairs, pair by pair."""
     return joined([pair.poses._replace(pair=torch.full_like(pair.poses.pair, g)) for g, pair in enumerate(pairs)])
 
 

@@ -64,7 +64,7 @@ def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshol
         clouds: one each; all have normals (colors), or none has.
         spacings: meters, between the points of each.
         threshold: (G,) float64, meters, of the pairs' inliers.
-        sample: points of each scan that are looked at.
+        sample: points of each scan that poses are weighed on.
     """
     device = clouds[0].device
     sizes = [len(cloud.points) for cloud in clouds]

@@ -40,8 +40,8 @@ from torchreg.verification.pairs import (
     WorkPerPair,
     centered_pair,
     groups_of,
+    initial_poses,
     match_endpoints,
-    poses_of_pairs,
     prepared_pairs,
     work_of_pairs,
 )
@@ -81,7 +81,7 @@ def verify(
 
     def judge(members: Sequence[int]) -> list[Verdict]:
         pairs = [centered_pair(sources[b], targets[b], matches[b], poses[b], lengths[b], work.poses) for b in members]
-        choice = choose(prepared_pairs(pairs, work.sample), poses_of_pairs(pairs), work)
+        choice = choose(prepared_pairs(pairs, work.sample), initial_poses(pairs), work)
         return verdicts(pairs, choice, names, work.accepted)
 
     workers = torch.get_num_threads() if source.device.type == "cpu" else 1
