@@ -7,9 +7,8 @@ from torch import Tensor, nn
 
 from torchreg.errors import at_least, expect, expect_shape, positive
 from torchreg.geometry.numerics.derivatives import transformed
-from torchreg.geometry.robust_kabsch import robust_kabsch
 from torchreg.geometry.se3 import apply_rotation, rigid
-from torchreg.geometry.soft_kabsch import soft_kabsch
+from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
 from torchreg.nn.precision import full_precision
 from torchreg.types import Clouds, SoftCorrespondences
 from torchreg.types.packing import spans
@@ -19,7 +18,7 @@ class WeightedKabsch(nn.Module):
     """Least-squares poses over all pairs of points by their confidence, robust against wrong ones if wanted.
 
     Args:
-        rounds: in which pairs far apart after the last pose count less (``geometry.robust_kabsch``); 0: plain least
+        rounds: in which pairs far apart after the last pose count less (``robust_kabsch``); 0: plain least
             squares, where every wrong pair pulls.
         scale: meters, above 0, of the last round: a pair this far apart counts a quarter; about the distance at which
             a pair is an inlier. Needed with rounds unless ``forward`` is given one.

@@ -14,8 +14,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import expect
-from torchreg.geometry.eigen import symmetric_eigen
-from torchreg.geometry.eigen_gradient import least_eigenvector
+from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
 from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.types import Clouds, Neighborhoods
