@@ -9,7 +9,7 @@ from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation, inverse, quaternion_wxyz
 from torchreg.metrics.fit import relative_transform
 from torchreg.metrics.pose import rmse
-from torchreg.neighborhoods.nearest import nearest
+from torchreg.neighborhoods.point_index import nearest
 from torchreg.types import Clouds
 
 

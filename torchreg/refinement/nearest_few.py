@@ -7,9 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchreg.neighborhoods.backends import uses_open3d
 from torchreg.neighborhoods.distances import sum_of_squares
-from torchreg.neighborhoods.open3d_tree import Tree
+from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
 
 FEW = 4
 """Measured: with 4 the tree takes a third longer than with 2, and hardly a point is searched a second time."""
