@@ -14,9 +14,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, counted_votes, gather, inverse_square_weights, weighted_sum
-from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
+from torchreg.descriptors.pair_features import (
+    ANGLE_BINS,
+    Oriented,
+    angle_bins,
+    compact_pair_features,
+    pair_features,
+    unit_bins,
+)
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
 from torchreg.errors import expect, expect_floating, one_of

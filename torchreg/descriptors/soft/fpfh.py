@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented
-from torchreg.descriptors.soft.pair_gradient import pair_gradient
-from torchreg.descriptors.soft.pairs import arranged_pair, pair_positions
+from torchreg.descriptors.soft.pairs import arranged_pair, pair_gradient, pair_positions
 from torchreg.descriptors.soft.rows import Piece, PieceGradient, by_rows
 from torchreg.descriptors.soft.spread import add_neighbors, distance_weights, scaled_gradient, scaled_to_100
 from torchreg.descriptors.soft.votes import Shares, bin_shares, share_gradient, shared_votes
