@@ -14,8 +14,8 @@ from problems import random_transform, sphere_cloud
 import torchreg as tr
 from torchreg.geometry.se3 import inverse
 from torchreg.refinement import IcpLevel, IcpOptions
+from torchreg.refinement.correspond import all_pairs
 from torchreg.refinement.icp import icp
-from torchreg.refinement.nearest_few import all_pairs
 
 EYE = torch.eye(4, dtype=torch.float64)
 KINDS = ("point_to_point", "point_to_plane", "colored")

@@ -140,7 +140,7 @@ def joint_color_values(source: Clouds, target: Clouds) -> tuple[Tensor, Tensor]:
 
 
 def colors_of(clouds: Clouds) -> Tensor:
-    """The colors, or a ``ValueError`` that says they are missing or not finite."""
+    """The colors of clouds; ``ValueError`` where they are missing or not finite."""
     if clouds.colors is None:
         raise ValueError("cloud: expected colors, got none")
     broken = ~torch.isfinite(clouds.colors).all(dim=1)

@@ -66,8 +66,8 @@ def fpfh(
 
         No gradients flow through hard histograms. Through soft ones they flow to points, normals, edges and
         neighbor weights, of any order, finite for coincident points and parallel normals too; ``soft.pairs``
-        says where the values are continuous. The neighborhood is held fixed. Pairs are computed again on the
-        way back, so memory stays that of one piece of rows.
+        says where the values are continuous. The neighborhood is held fixed. The backward pass computes
+        pairs again, so memory stays that of one piece of rows.
 
     Raises:
         ValueError: no normals, shapes that do not fit, a bandwidth or edges out of their range, or what soft binning
@@ -94,7 +94,7 @@ def fpfh(
             cloud.points,
             cloud.normals,
             near,
-            own=mode == "open3d",
+            keep_own=mode == "open3d",
             bandwidth=bandwidth,
             edges=bin_edges(edges, 3, ANGLE_BINS, cloud.points),
             neighbor_weights=slot_weights(neighbor_weights, near, cloud.points),

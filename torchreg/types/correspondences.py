@@ -1,4 +1,4 @@
-"""Pairs of points that may be the same place."""
+"""Putative matches between points of two clouds."""
 
 from __future__ import annotations
 

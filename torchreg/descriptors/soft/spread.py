@@ -27,7 +27,7 @@ from torchreg.types import Neighborhoods
 
 
 def distance_weights(points: Tensor, near: Neighborhoods, neighbor_weights: Tensor | None) -> Tensor:
-    """(P, K): 1/d^2, relative to the nearest other point of the row, times the neighbor weights.
+    """The weights (P, K): 1/d^2, relative to the nearest other point of the row, times the neighbor weights.
 
     Distances are measured again from the points, so that gradients reach them; the scale of a row cancels where its
     sum is scaled to 100. Points in one place weigh nothing.
@@ -36,20 +36,20 @@ def distance_weights(points: Tensor, near: Neighborhoods, neighbor_weights: Tens
 
 
 def _inverse_squares(piece: Piece) -> Tensor:
-    return _ratio(piece.own, piece.near, piece.votes)[0]
+    return _ratio(piece.query, piece.neighbor, piece.votes)[0]
 
 
 def _inverse_squares_gradient(piece: Piece, grad: Tensor) -> PieceGradient:
-    weights, ratio, apart = _ratio(piece.own, piece.near, piece.votes)
+    weights, ratio, apart = _ratio(piece.query, piece.neighbor, piece.votes)
     of_square = grad * weights / apart * -2
-    line = tuple((b - a) * of_square for a, b in zip(piece.own, piece.near, strict=True))
+    line = tuple((b - a) * of_square for a, b in zip(piece.query, piece.neighbor, strict=True))
     return PieceGradient(tuple(-part.sum(dim=1) for part in line), line, grad * ratio)
 
 
 @fusible
-def _ratio(own: tuple[Tensor, ...], near: tuple[Tensor, ...], votes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _ratio(query: tuple[Tensor, ...], neighbor: tuple[Tensor, ...], votes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Weights (r, K), the same before votes were multiplied in, and squared distances (1 where nothing counts)."""
-    dx, dy, dz = near[0] - own[0], near[1] - own[1], near[2] - own[2]
+    dx, dy, dz = neighbor[0] - query[0], neighbor[1] - query[1], neighbor[2] - query[2]
     square = dx * dx + dy * dy + dz * dz
     counted = (distinct(square) & (votes.detach() != 0)).to(square.dtype)
     apart = square + (1 - counted)
@@ -59,22 +59,24 @@ def _ratio(own: tuple[Tensor, ...], near: tuple[Tensor, ...], votes: Tensor) -> 
     return ratio * votes, ratio, apart
 
 
-def add_neighbors(own: Tensor, near: Neighborhoods, weights: Tensor, blocks: int, *, keep_own: bool = True) -> Tensor:
+def add_neighbors(
+    histograms: Tensor, near: Neighborhoods, weights: Tensor, blocks: int, *, keep_own: bool = True
+) -> Tensor:
     """Eq. (2) and (4): the neighbors' histograms, scaled to 100 a block, plus a point's own.
 
     Args:
-        own: (P, blocks x bins) in percent.
+        histograms: (P, blocks x bins) in percent.
         near: P neighborhoods.
         weights: (P, K) from ``distance_weights``.
         blocks: how many histograms a row holds.
-        keep_own: whether the own histogram is added.
+        keep_own: whether a point's own histogram is added.
 
     Returns:
-        (P, blocks x bins). Gradients flow to ``own`` and ``weights``.
+        (P, blocks x bins). Gradients flow to ``histograms`` and ``weights``.
     """
-    rows = neighbor_sum(own, near.index, weights).view(len(own), blocks, -1)
-    spread = scaled_to_100(rows).view(own.shape)
-    return spread + own if keep_own else spread
+    rows = neighbor_sum(histograms, near.index, weights).view(len(histograms), blocks, -1)
+    spread = scaled_to_100(rows).view(histograms.shape)
+    return spread + histograms if keep_own else spread
 
 
 def scaled_to_100(histograms: Tensor) -> Tensor:
