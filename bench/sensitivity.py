@@ -24,8 +24,7 @@ from torchreg.benchmark.sensitivity.figures import draw_sweep
 from torchreg.benchmark.sensitivity.learned import judged_by_others, learned_table, trained_model
 from torchreg.benchmark.sensitivity.sweep import sweep, sweep_table
 from torchreg.benchmark.sensitivity.variants import AXES, BETTER_RULE, PAPER_RULE, label
-from torchreg.descriptors.learned import save_weights
-from torchreg.descriptors.learned.shipped import SHIPPED
+from torchreg.descriptors.learned import SHIPPED, save_weights
 from torchreg.learning.prepared import PreparedPair
 from torchreg.learning.training import TrainingOptions
 

@@ -23,8 +23,8 @@ _CHUNKED = (
     "descriptors.histograms",
     "descriptors.pcfh",
     "descriptors.soft.rows",
-    "descriptors.soft.sums",
-    "descriptors.learned.model",
+    "descriptors.soft.spread",
+    "descriptors.learned",
     "preprocess.normals",
     "solvers.chance",
 )

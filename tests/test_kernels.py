@@ -9,9 +9,8 @@ from host_transfers import HostTransfers
 from problems import room_pair
 
 import torchreg as tr
-from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, inverse_square_weights, weighted_sum
-from torchreg.descriptors.pair_features import Oriented, angle_bins, pair_features, unit_bins
+from torchreg.descriptors.pair_features import Oriented, angle_bins, compact_pair_features, pair_features, unit_bins
 from torchreg.descriptors.pcfh import difference_bins
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.numerics.chunks import stable_sum

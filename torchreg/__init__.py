@@ -11,13 +11,13 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from torchreg import metrics
+from torchreg.descriptors.color import soft_equalize
 from torchreg.descriptors.contrast import contrast
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import fpfh
 from torchreg.descriptors.fuse import fuse
 from torchreg.descriptors.pcfh import pcfh
 from torchreg.descriptors.records import Contrast, Fpfh, Learned, Pcfh
-from torchreg.descriptors.soft.equalize import soft_equalize
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform

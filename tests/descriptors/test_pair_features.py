@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import random_rotation
 
-from torchreg.descriptors.compact_pairs import compact_pair_features
-from torchreg.descriptors.pair_features import Oriented, angle_bins, pair_features, unit_bins
+from torchreg.descriptors.pair_features import Oriented, angle_bins, compact_pair_features, pair_features, unit_bins
 
 both_kernels = pytest.mark.parametrize("kernel", [pair_features, compact_pair_features])
 

@@ -9,8 +9,7 @@ from problems import correspondence_problem
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
-from torchreg.geometry.robust_kabsch import robust_kabsch
-from torchreg.geometry.soft_kabsch import soft_kabsch
+from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
 
 
 def numbers(*shape, seed=0):

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, turn, verified_result
 
-from torchreg.geometry.quaternion import quaternion_wxyz
+from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io import read_transform_text, result_to_dict, write_result_json
 from torchreg.registration.options import RegistrationOptions
 from torchreg.types import Correspondences, HypothesisCounts, RegistrationResult

@@ -5,8 +5,8 @@ import torch
 from host_transfers import HostTransfers
 
 import torchreg as tr
-from torchreg.geometry.eigen_gradient import least_eigenvector
-from torchreg.geometry.kabsch_gradient import with_gradient
+from torchreg.geometry.eigen import least_eigenvector
+from torchreg.geometry.kabsch import with_gradient
 from torchreg.learning import (
     circle_loss,
     draw_hypothesis,

@@ -50,7 +50,7 @@ def test_an_untrained_model_without_roots_is_the_plain_rule_with_soft_bins(pairs
 
 def test_every_parameter_gets_a_finite_gradient(pairs):
     fresh = model()
-    torch.nn.init.normal_(fresh.say_out.weight)
+    torch.nn.init.normal_(fresh.weight_layer.weight)
     values = describe_with(fresh, pairs[0].source, 2 * VOXEL).values
     (values * torch.randn(values.shape, generator=torch.Generator().manual_seed(0))).sum().backward()
     for name, parameter in fresh.named_parameters():

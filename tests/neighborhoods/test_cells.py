@@ -6,10 +6,8 @@ from determinism import same_bits
 from host_transfers import HostTransfers
 from neighborhoods.oracle import all_pairs
 
-from torchreg.neighborhoods.cells import _nearest_in_cells, search_cells
+from torchreg.neighborhoods.cells import _nearest_in_cells, k_smallest, make_grid, search_cells
 from torchreg.neighborhoods.distances import squared_distances
-from torchreg.neighborhoods.grid import make_grid
-from torchreg.neighborhoods.select import k_smallest
 
 
 def random_points(count, seed=0, dtype=torch.float32):

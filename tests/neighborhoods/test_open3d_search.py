@@ -6,9 +6,8 @@ import pytest
 import torch
 from determinism import same_bits
 
-from torchreg.neighborhoods.distances import mend_rows, sort_rows
-from torchreg.neighborhoods.open3d_search import search_open3d
-from torchreg.neighborhoods.open3d_tree import Tree
+from torchreg.neighborhoods.distances import sort_rows
+from torchreg.neighborhoods.open3d_search import Tree, mend_rows, search_open3d
 
 MODULE = import_module("torchreg.neighborhoods.open3d_search")
 

@@ -7,8 +7,7 @@ from host_transfers import HostTransfers
 from torch.func import grad, vmap
 
 import torchreg as tr
-from torchreg.geometry.robust_kabsch import robust_kabsch
-from torchreg.geometry.soft_kabsch import soft_kabsch
+from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
 from torchreg.matching.dual_softmax import dual_softmax
 from torchreg.matching.sinkhorn import sinkhorn
 from torchreg.matching.soft import expected_targets, squared_distances

@@ -10,12 +10,15 @@ from determinism import THREADS, same_bits, threads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import random_transform, sphere_cloud
+from refusals import refuses
 
 import torchreg as tr
 from torchreg.geometry.se3 import inverse
 from torchreg.refinement import IcpLevel, IcpOptions
+from torchreg.refinement.correspond import all_pairs
 from torchreg.refinement.icp import icp
-from torchreg.refinement.nearest_few import all_pairs
+from torchreg.refinement.options import KINDS as RECORDS
+from torchreg.refinement.point_to_plane import POINT_TO_PLANE
 
 EYE = torch.eye(4, dtype=torch.float64)
 KINDS = ("point_to_point", "point_to_plane", "colored")
@@ -33,6 +36,20 @@ def test_the_truth_is_found(start, kind):
     assert apart[0] > 0.05
     assert apart[1] < (0.02 if kind == "point_to_point" else 0.01)
     assert result.fitness > 0.75
+
+
+def test_a_kind_from_outside_is_one_record(start, monkeypatch):
+    source, target, _, T = start(1)
+
+    def estimator(kernel):
+        halved = POINT_TO_PLANE.estimator(lambda residual, scale: 0.5 * kernel(residual, scale))
+        return halved._replace(solve=lambda sums, center: halved.solve(2 * sums, center))
+
+    monkeypatch.setitem(RECORDS, "mine", POINT_TO_PLANE._replace(estimator=estimator))
+    mine, known = (icp(source, target, T, IcpOptions(kind=kind)) for kind in ("mine", "point_to_plane"))
+    assert same_bits(mine, known)
+    with refuses("target", "normals", "'mine'"):
+        icp(source, replace(target, normals=None), T, IcpOptions(kind="mine"))
 
 
 @given(st.integers(0, 2**31))

@@ -13,11 +13,10 @@ import torchreg as tr
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.open3d_loader import load_open3d
 from torchreg.refinement.blocks import BLOCK, Blocks
-from torchreg.refinement.color_gradient import color_gradient, tangents
-from torchreg.refinement.correspond import Correspondence, Target
+from torchreg.refinement.colored import color_gradient, tangents
+from torchreg.refinement.correspond import FEW, Correspondence, Target, all_pairs, few_nearest
 from torchreg.refinement.gauss_newton import rotation_zyx
-from torchreg.refinement.kernels import BY_NAME
-from torchreg.refinement.nearest_few import FEW, all_pairs, few_nearest
+from torchreg.refinement.kernels import KERNELS
 
 
 def correspondence(source, target, max_distance, search=few_nearest):
@@ -110,7 +109,7 @@ def test_weights_are_those_of_open3d(name):
     loss = {"huber": reg.HuberLoss, "tukey": reg.TukeyLoss, "geman_mcclure": reg.GMLoss}[name](0.3)
     residual = torch.linspace(-2, 2, 81, dtype=torch.float64)
     expected = torch.tensor([loss.weight(r) for r in residual.tolist()], dtype=torch.float64)
-    assert close(BY_NAME[name](residual, torch.tensor(0.3, dtype=torch.float64)), expected, atol=1e-14)
+    assert close(KERNELS[name](residual, torch.tensor(0.3, dtype=torch.float64)), expected, atol=1e-14)
 
 
 def test_a_rotation_turns_about_x_then_y_then_z():

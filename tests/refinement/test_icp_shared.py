@@ -8,8 +8,8 @@ from determinism import THREADS, same_bits, threads
 
 import torchreg as tr
 from torchreg.refinement import IcpLevel, IcpOptions, Pairing, refine_pairs
+from torchreg.refinement.correspond import few_nearest
 from torchreg.refinement.icp import icp
-from torchreg.refinement.nearest_few import few_nearest
 
 OPTIONS = {
     "point_to_point": IcpOptions(kind="point_to_point", max_distance=0.3, iterations=6),
@@ -48,7 +48,7 @@ def test_threads_that_share_the_pairs_do_not_show(shared, number, monkeypatch):
     source, target, pairing, T = shared
     options = [OPTIONS["point_to_plane"]] * len(T)
     expected = refine_pairs(source, target, pairing, T, options)
-    monkeypatch.setattr(import_module("torchreg.refinement.pairs"), "_SHARED_POINTS", 0)
+    monkeypatch.setattr(import_module("torchreg.refinement.icp"), "_SHARED_POINTS", 0)
     with threads(number):
         assert same_bits(refine_pairs(source, target, pairing, T, options), expected)
         assert torch.get_num_threads() == number

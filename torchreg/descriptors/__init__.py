@@ -1,1 +1,1 @@
-"""What a point's surroundings look like: FPFH, PCFH, contrast and learned histograms, and their fusion."""
+"""Descriptors of the surroundings of every point: FPFH, PCFH, contrast and learned histograms, and their fusion."""

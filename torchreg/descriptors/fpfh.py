@@ -14,9 +14,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.compact_pairs import compact_pair_features
 from torchreg.descriptors.histograms import count_votes, counted_votes, gather, inverse_square_weights, weighted_sum
-from torchreg.descriptors.pair_features import ANGLE_BINS, Oriented, angle_bins, pair_features, unit_bins
+from torchreg.descriptors.pair_features import (
+    ANGLE_BINS,
+    Oriented,
+    angle_bins,
+    compact_pair_features,
+    pair_features,
+    unit_bins,
+)
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
 from torchreg.errors import expect, expect_floating, one_of
@@ -60,8 +66,8 @@ def fpfh(
 
         No gradients flow through hard histograms. Through soft ones they flow to points, normals, edges and
         neighbor weights, of any order, finite for coincident points and parallel normals too; ``soft.pairs``
-        says where the values are continuous. The neighborhood is held fixed. Pairs are computed again on the
-        way back, so memory stays that of one piece of rows.
+        says where the values are continuous. The neighborhood is held fixed. The backward pass computes
+        pairs again, so memory stays that of one piece of rows.
 
     Raises:
         ValueError: no normals, shapes that do not fit, a bandwidth or edges out of their range, or what soft binning
@@ -88,7 +94,7 @@ def fpfh(
             cloud.points,
             cloud.normals,
             near,
-            own=mode == "open3d",
+            keep_own=mode == "open3d",
             bandwidth=bandwidth,
             edges=bin_edges(edges, 3, ANGLE_BINS, cloud.points),
             neighbor_weights=slot_weights(neighbor_weights, near, cloud.points),

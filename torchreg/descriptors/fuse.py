@@ -54,7 +54,7 @@ def unit_rows(values: Tensor) -> Tensor:
 
 
 def rooted(histograms: Tensor, share: float | Tensor = 1.0) -> Tensor:
-    """Entries of histograms in percent, moved from x towards 10 sqrt(x), which has the same 100 for 100.
+    """Move entries of histograms in percent from x towards 10 sqrt(x), which maps 100 to 100.
 
     Square roots keep a few large entries from deciding alone: the distance of unit rows is Hellinger's (Arandjelovic
     and Zisserman, CVPR 2012, doi:10.1109/CVPR.2012.6248018).

@@ -16,7 +16,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.color import color_values
+from torchreg.descriptors.color import color_values, soft_equalize
 from torchreg.descriptors.histograms import (
     count_votes,
     counted_votes,
@@ -26,7 +26,6 @@ from torchreg.descriptors.histograms import (
     weighted_sum,
 )
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
-from torchreg.descriptors.soft.equalize import soft_equalize
 from torchreg.descriptors.soft.pcfh import soft_pcfh
 from torchreg.errors import at_least, expect, expect_floating, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks

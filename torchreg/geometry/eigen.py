@@ -1,8 +1,17 @@
-"""Eigenvectors of many symmetric 3x3 matrices at once.
+"""Eigenvectors of many symmetric 3x3 matrices at once, and gradients of the least one.
 
 Cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, section 8.5), written as elementwise
 operations over the batch: no call per matrix, no cosine or cube root, the same bits in any batch. Four sweeps
 leave off-diagonal entries below rounding in float64; six are made.
+
+The derivative of the least eigenvector. In the basis of the eigenvectors V of C, the matrix V^T C V is diagonal and
+the least eigenvector is (1, 0, 0). When C changes it becomes (1, a1, a2) up to its length, with
+
+    r_j = B_j0 + B_j1 a1 + B_j2 a2 - m a_j = 0,   B = V^T C V,   m = B_00 + B_01 a1 + B_02 a2,
+
+so a step a_j <- a_j - r_j / (l_j - l_0), first-order perturbation theory (Golub and Van Loan, section 7.2), has the
+derivative of the eigenvector. With V and the gaps held fixed, every step gains an order: after two, first and second
+derivatives are exact. Where a gap is zero the direction within its plane is arbitrary and gets no gradient.
 """
 
 from __future__ import annotations
@@ -15,6 +24,9 @@ from torchreg.errors import expect
 _SWEEPS = 6
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
+_CLOSED_GAP = 1e-12
+"""Relative to the largest eigenvalue: points on a line in float32 spread about 1e-14 across it by their rounding."""
+
 
 def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """Eigenvalues and eigenvectors of symmetric matrices.
@@ -24,8 +36,8 @@ def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         values (..., 3) ascending, and vectors (..., 3, 3) whose columns are unit eigenvectors in that order
-        (sign left open). Zero and non-finite matrices give the identity or NaN, never an error. No gradients
-        flow: the iteration is not meant to be differentiated.
+        (of arbitrary sign). Zero and non-finite matrices give the identity or NaN, never an error. No gradients
+        flow; ``least_eigenvector`` adds them.
     """
     expect(matrix.shape[-2:] == (3, 3), "matrix", "(..., 3, 3)", matrix)
     matrix = matrix.detach()
@@ -39,6 +51,33 @@ def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
     vectors = torch.stack([torch.stack(row, dim=-1) for row in v], dim=-2)  # (..., 3, 3), columns
     values, order = values.sort(dim=-1, stable=True)
     return values, vectors.gather(-1, order[..., None, :].expand_as(vectors))
+
+
+def least_eigenvector(matrix: Tensor, values: Tensor, vectors: Tensor) -> Tensor:
+    """The first eigenvector with its first and second derivatives with respect to the matrix.
+
+    Args:
+        matrix: C (..., 3, 3) float64, symmetric, with gradient.
+        values: (..., 3) its eigenvalues, ascending, without gradient.
+        vectors: (..., 3, 3) whose columns are its unit eigenvectors, without gradient.
+
+    Returns:
+        (..., 3), equal to ``vectors[..., 0]``: the steps are taken relative to their own value. The sign is that of
+        ``vectors``. Gradients are finite for any finite matrix.
+    """
+    gap = values[..., 1:] - values[..., :1]  # (..., 2)
+    least = (_CLOSED_GAP * values[..., 2:].abs()).clamp(min=1e-290)
+    clear = gap > least
+    per_gap = torch.where(clear, 1 / torch.where(clear, gap, 1), 0)
+    B = vectors.transpose(-1, -2) @ matrix @ vectors
+    lower, across = B[..., 1:, 0], B[..., 1:, 1:]  # (..., 2), (..., 2, 2)
+    a = torch.zeros_like(gap)
+    for _ in range(2):
+        value = B[..., :1, 0] + (lower * a).sum(dim=-1, keepdim=True)
+        step = (lower + (across @ a[..., None])[..., 0] - value * a) * per_gap
+        a = a - (step - step.detach())
+    vector = vectors[..., 0] + (vectors[..., 1:] @ a[..., None])[..., 0]
+    return vector / (1 + (a * a).sum(dim=-1, keepdim=True)).sqrt()
 
 
 def _rotate(a: dict[tuple[int, int], Tensor], v: list[list[Tensor]], p: int, q: int) -> None:

@@ -1,4 +1,4 @@
-"""Rigid transforms as 4x4 matrices, ``T_to_from``: x_to = R x_from + t."""
+"""Rigid transforms as 4x4 matrices, ``T_to_from``: x_to = R x_from + t; rotations as quaternions."""
 
 from __future__ import annotations
 
@@ -49,6 +49,27 @@ def apply(T: Tensor, points: Tensor) -> Tensor:
     expect_shape(T, "T", (4, 4))
     expect_shape(points, "points", ("P", 3))
     return apply_rotation(T[:3, :3], points) + T[:3, 3]
+
+
+def quaternion_wxyz(rotation: Tensor) -> Tensor:
+    """The unit quaternion (w, x, y, z) of rotations, with w >= 0.
+
+    Args:
+        rotation: (..., 3, 3) of any floating-point dtype.
+
+    Returns:
+        (..., 4) of the same dtype.
+
+    Example:
+        >>> quaternion_wxyz(torch.eye(3))
+        tensor([1., 0., 0., 0.])
+    """
+    from kornia.geometry.conversions import rotation_matrix_to_quaternion
+
+    # eps=0: kornia below 0.9 adds it under the root, which costs half the digits of float64.
+    quaternion: Tensor = rotation_matrix_to_quaternion(rotation, eps=0.0)
+    unit = quaternion / torch.linalg.vector_norm(quaternion, dim=-1, keepdim=True)
+    return torch.where(unit[..., :1] < 0, -unit, unit)
 
 
 def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.geometry.quaternion import quaternion_wxyz
+from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io.atomic import atomic_write
 from torchreg.types import RegistrationResult, StageCounts
 

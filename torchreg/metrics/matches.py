@@ -6,11 +6,10 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape, positive
-from torchreg.geometry.quaternion import quaternion_wxyz
 from torchreg.geometry.se3 import apply_rotation, inverse
 from torchreg.metrics.fit import relative_transform
 from torchreg.metrics.pose import rmse
-from torchreg.neighborhoods.nearest import nearest
+from torchreg.neighborhoods.point_index import nearest
 from torchreg.types import Clouds, Correspondences
 from torchreg.types.packing import spans
 

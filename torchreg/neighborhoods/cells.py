@@ -1,5 +1,6 @@
 """Hybrid search in torch alone, on any device: compare every point with those in the cells around its own.
 
+Points are sorted by cell, cells by (cloud, z, y, x), so the 27 cells around a cell are 9 runs of the sorted points.
 Where many more than K points lie within the radius, a smaller one finds the K nearest too. So the search
 starts with the radius expected to hold somewhat more than K, and doubles it for the points that found fewer.
 """
@@ -7,18 +8,21 @@ starts with the radius expected to hold somewhat more than K, and doubles it for
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchreg.neighborhoods.distances import squared_distances
-from torchreg.neighborhoods.grid import Grid, make_grid
-from torchreg.neighborhoods.select import k_smallest
+from torchreg.neighborhoods.distances import sort_rows, squared_distances
 
 SLOT_BYTES = 112  # working memory per candidate of a chunk: positions, rows, distances, the selection's copies
 GROWTH = 4.0  # of the squared radius from round to round
 ESTIMATES = 4  # at most so many grids to find the first radius
 ROOM = 2.0  # the first radius is expected to hold this many times K points
+
+# Cells are this much wider than the search radius, so that no rounding (of d^2 in float32, of cell numbers
+# below 2^31 in float64) puts a neighbor two cells away.
+MARGIN = 1 + 1e-5
 
 
 def search_cells(
@@ -69,10 +73,10 @@ def search_cells(
 
 
 def _first_limits(points: Tensor, cloud: Tensor, final: Tensor, max_neighbors: int) -> tuple[Tensor, Tensor]:
-    """The (B,) squared radii to start with, and those that hold a whole cloud or reach the final ones.
+    """The (B,) squared radii to start with, and those that hold a whole cloud or equal the final ones.
 
-    On a surface the disk of the search radius is about 3 cells large, and its points grow with its area. That
-    is asked again of the smaller cells, since a crowded cell does not tell how its points lie in it.
+    On a surface the disk of the search radius covers about 3 cells, and its points grow with its area. The estimate
+    is repeated with the smaller cells, since the number of points in a cell does not say how they lie in it.
     """
     clouds = len(final)
     owner = cloud[:, None].expand(-1, 3)
@@ -96,7 +100,7 @@ def _first_limits(points: Tensor, cloud: Tensor, final: Tensor, max_neighbors: i
 
 
 def _chunks(grid: Grid, active: Tensor, max_neighbors: int, slots: int) -> Iterator[tuple[Tensor, int]]:
-    """Rows of similar width (number of candidates), and the largest: with K more slots a row they fit ``slots``."""
+    """Rows of similar width (number of candidates) and the widest; with K slots more a row they fit ``slots``."""
     widths, by_width = grid.length.sum(dim=1)[grid.cell[active]].sort(descending=True, stable=True)
     active, descending, begin = active[by_width], widths.cpu(), 0
     while begin < len(active):
@@ -126,3 +130,81 @@ def _nearest_in_cells(
             torch.cat([best, squares], dim=1), torch.cat([index, candidates], dim=1), max_neighbors
         )
     return best, index
+
+
+def k_smallest(values: Tensor, index: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Select the ``count`` smallest of every row and put them in order.
+
+    ``torch.topk`` leaves open which of equal values it takes, so it only finds the last value that is in;
+    a second selection then takes all below it and, of those equal to it, the smallest indexes.
+
+    Args:
+        values: (R, W), W >= count; infinite where there is no candidate.
+        index: (R, W) int64, 0 and above.
+        count: K.
+
+    Returns:
+        values and index, (R, K) each, ascending by (value, index).
+    """
+    last = values.topk(count, dim=1, largest=False).values[:, -1:]
+    rank = index.where(values == last, torch.iinfo(torch.int64).max).masked_fill_(values < last, -1)
+    taken = rank.topk(count, dim=1, largest=False).indices
+    return sort_rows(values.gather(1, taken), index.gather(1, taken))
+
+
+class Grid(NamedTuple):
+    """Points sorted by cell, and where the runs around each of the M cells that hold points begin.
+
+    Attributes:
+        order: (P,) int64, rows of the points, sorted by cell.
+        cell: (P,) int64, the cell of every point, 0..M-1.
+        size: (M,) int64, points in every cell.
+        begin: (M, 9) int64, the first place in ``order`` of each run of points around a cell.
+        length: (M, 9) int64, the length of each run.
+    """
+
+    order: Tensor
+    cell: Tensor
+    size: Tensor
+    begin: Tensor
+    length: Tensor
+
+
+def make_grid(points: Tensor, cloud: Tensor, limits: Tensor) -> Grid:
+    """Sort points into cells a little wider than the search radius.
+
+    Args:
+        points: (P, 3), P > 0.
+        cloud: (P,) int64, the cloud of every point, 0..B-1.
+        limits: (B,) squared radii.
+
+    Returns:
+        Grid. Its size does not depend on the extent of the clouds: only cells that hold points exist.
+    """
+    cells = _cell_numbers(points, cloud, limits)
+    y_bits = z_bits = (62 - len(limits).bit_length()) // 2
+    x, y, z = (cells[:, axis].clamp_max(2**bits - 2) + 1 for axis, bits in ((0, 31), (1, y_bits), (2, z_bits)))
+    # Two steps, since cloud, z, y and x together overflow 63 bits: number the lines along x that hold points.
+    lines, line = torch.unique((((cloud << z_bits) | z) << y_bits) | y, return_inverse=True)
+    keys, order = ((line << 32) | x).sort(stable=True)
+    occupied, sorted_cell, size = torch.unique_consecutive(keys, return_inverse=True, return_counts=True)
+    cell = torch.empty_like(order).scatter_(0, order, sorted_cell)
+
+    steps = torch.tensor([-1, 0, 1], device=points.device)
+    shifts = ((steps[:, None] << y_bits) + steps).reshape(9)  # over z and y; y and z start at 1: no borrow
+    around = lines[occupied >> 32, None] + shifts  # (M, 9)
+    place = torch.searchsorted(lines, around).clamp_max(len(lines) - 1)
+    low = (place << 32) | ((occupied & (2**32 - 1)) - 1)[:, None]  # the cell at x - 1 of that line
+    begin = torch.searchsorted(keys, low)
+    length = torch.searchsorted(keys, low + 2, right=True) - begin
+    return Grid(order, cell, size, begin, length.where(lines[place] == around, 0))
+
+
+def _cell_numbers(points: Tensor, cloud: Tensor, limits: Tensor) -> Tensor:
+    """(P, 3) int64: the cell of every point, counted from the least coordinates of its cloud."""
+    position = points.double()
+    owner = cloud[:, None].expand(-1, 3)
+    corner = position.new_zeros(len(limits), 3).scatter_reduce(0, owner, position, "amin", include_self=False)
+    edge = limits.double().sqrt() * MARGIN
+    ratio = (position - corner[cloud]) / edge[cloud, None]
+    return ratio.clamp_max(2.0**31).long()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import stable_sum
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.neighborhoods.nearest import nearest
+from torchreg.neighborhoods.point_index import nearest
 
 
 class Coverage(NamedTuple):

@@ -29,7 +29,7 @@ def squared_distances(axes: Tensor, rows: Tensor, candidates: Tensor) -> Tensor:
 
 
 def sum_of_squares(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    """(x x + y y) + z z of tensors of one shape. It overwrites them: a fresh result costs more than the sum."""
+    """(x x + y y) + z z of tensors of one shape. Overwrites them: allocating a result costs more than the sum."""
     return x.mul_(x).add_(y.mul_(y)).add_(z.mul_(z))
 
 
@@ -38,19 +38,6 @@ def sort_rows(sq_distance: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
     index, by_index = index.sort(dim=1)
     sq_distance, by_distance = sq_distance.gather(1, by_index).sort(dim=1, stable=True)
     return sq_distance, index.gather(1, by_distance)
-
-
-def mend_rows(sq_distance: Tensor, index: Tensor, limit: float) -> None:
-    """Order, in place, the rows of a compiled search that are not ascending already; on the CPU.
-
-    Such a search returns its rows ascending by distance, but it leaves ties in any order. So only a few
-    rows need sorting. Slots of ``limit`` and above will not count and may come in any order.
-    """
-    later = sq_distance[:, 1:]
-    unordered = (later <= sq_distance[:, :-1]) & (later < limit)
-    rows = unordered.any(dim=1).nonzero().squeeze(1)
-    if len(rows) > 0:
-        sq_distance[rows], index[rows] = sort_rows(sq_distance[rows], index[rows])
 
 
 def expect_searchable(points: Tensor, name: str) -> None:

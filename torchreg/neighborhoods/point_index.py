@@ -1,15 +1,68 @@
-"""A point set that is asked for nearest neighbors many times."""
+"""The nearest point of another set: found once by ``nearest``, many times by ``PointIndex``."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchreg.errors import expect, expect_device, expect_shape
 from torchreg.geometry.morton import morton_order
-from torchreg.neighborhoods.backends import uses_open3d
-from torchreg.neighborhoods.distances import sum_of_squares
-from torchreg.neighborhoods.nearest import Nearest, nearest
-from torchreg.neighborhoods.open3d_tree import Tree
+from torchreg.neighborhoods.distances import expect_searchable, sum_of_squares
+from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
+
+
+class Nearest(NamedTuple):
+    """One neighbor per query.
+
+    Attributes:
+        index: (Q,) int64, rows of the points searched; -1 where there are none.
+        sq_distance: (Q,) squared meters; infinite where there are none.
+    """
+
+    index: Tensor  # type: ignore[assignment]  # takes the place of tuple.index
+    sq_distance: Tensor
+
+
+def nearest(query: Tensor, points: Tensor, *, backend: str = "auto", max_bytes: int = 256 * 2**20) -> Nearest:
+    """Find the nearest of ``points`` for every point of ``query``, exactly.
+
+    Where several are equally near, ``"torch"`` takes the smallest index, ``"open3d"`` the first its tree met.
+
+    Args:
+        query: (Q, 3) float32 or float64, meters.
+        points: (N, 3) of the same dtype, on the same device and in the same frame.
+        backend: as in ``neighbors``; the torch backend compares all pairs.
+        max_bytes: bounds the working memory of the torch backend; the result does not depend on it.
+
+    Returns:
+        Nearest of (Q,). No gradient flows.
+
+    Raises:
+        ValueError: a shape, dtype or device other than stated, or coordinates that are not finite.
+
+    Example:
+        >>> points = torch.tensor([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+        >>> nearest(torch.tensor([[3.0, 0.0, 0.0]]), points)
+        Nearest(index=tensor([1]), sq_distance=tensor([1.]))
+    """
+    expect_shape(query, "query", ("Q", 3))
+    expect_shape(points, "points", ("N", 3))
+    expect(query.dtype in (torch.float32, torch.float64), "query", "float32 or float64", query)
+    expect(points.dtype == query.dtype, "points", f"the dtype of query, {query.dtype}", points)
+    expect_device(points, "points", query.device)
+    query, points = query.detach(), points.detach()
+    expect_searchable(query, "query")
+    expect_searchable(points, "points")
+    compiled = uses_open3d(backend, query.device)
+    if len(query) == 0 or len(points) == 0:
+        return Nearest(
+            torch.full((len(query),), -1, dtype=torch.int64, device=query.device),
+            torch.full((len(query),), torch.inf, dtype=query.dtype, device=query.device),
+        )
+    index = _from_tree(query, points) if compiled else _from_all_pairs(query, points, max_bytes)
+    return Nearest(index, sum_of_squares(*(query - points[index]).unbind(1)))
 
 
 class PointIndex:
@@ -31,3 +84,22 @@ class PointIndex:
             return nearest(query, self._points)
         index = self._order.index_select(0, self._tree.nearest(query.contiguous(), 1)[:, 0].long())
         return Nearest(index, sum_of_squares(*(query - self._points[index]).unbind(1)))
+
+
+def _from_tree(query: Tensor, points: Tensor) -> Tensor:
+    """(Q,) int64 by Open3D's tree; both sides in Morton order, which is a third faster."""
+    query_order = morton_order(query, torch.tensor([0, len(query)]))
+    point_order = morton_order(points, torch.tensor([0, len(points)]))
+    place = Tree(points[point_order]).nearest(query[query_order], 1)[:, 0]
+    return torch.empty_like(query_order).index_copy_(0, query_order, point_order.index_select(0, place))
+
+
+def _from_all_pairs(query: Tensor, points: Tensor, max_bytes: int) -> Tensor:
+    """(Q,) int64 by comparing all pairs, a block of queries at a time."""
+    pair_bytes = 4 * points.element_size()  # three differences, and what argmin keeps
+    chunk_rows = max(1, max_bytes // (pair_bytes * len(points)))
+    nearest_rows = [
+        sum_of_squares(*(a[:, None] - b for a, b in zip(chunk.unbind(1), points.unbind(1), strict=True))).argmin(dim=1)
+        for chunk in query.split(chunk_rows)
+    ]
+    return torch.cat(nearest_rows)

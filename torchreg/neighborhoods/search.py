@@ -6,10 +6,9 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, positive
-from torchreg.neighborhoods.backends import uses_open3d
 from torchreg.neighborhoods.cells import search_cells
 from torchreg.neighborhoods.distances import expect_searchable
-from torchreg.neighborhoods.open3d_search import search_open3d
+from torchreg.neighborhoods.open3d_search import search_open3d, uses_open3d
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 
@@ -18,12 +17,12 @@ def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, back
     """Find the ``max_neighbors`` nearest points of the same cloud within ``radius`` (a hybrid search).
 
     The backends agree to the last bit, with one exception: where several points tie for the last place of
-    a row, ``"torch"`` keeps those of smaller index and ``"open3d"`` those that its tree met first. All
+    a row, ``"torch"`` keeps those of smaller index and ``"open3d"`` those that its tree visits first. All
     duplicates of a point are its neighbors at distance zero, so a point with K or more of them may be
     missing from its own row.
 
     Args:
-        cloud: B clouds; points of different clouds never see each other.
+        cloud: B clouds; points of different clouds are no neighbors.
         radius: meters, one number or one per cloud (B,); a neighbor has d^2 < radius^2, strictly, both
             rounded to the dtype of the points.
         max_neighbors: K, the slots of a row; the point itself takes one.

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchreg.descriptors.color import colors_of, hsv
-from torchreg.descriptors.soft.equalize import soft_equalize
+from torchreg.descriptors.color import colors_of, hsv, soft_equalize
 from torchreg.errors import expect, fraction
 from torchreg.nn.precision import full_precision
 from torchreg.types import Clouds

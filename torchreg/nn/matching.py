@@ -9,13 +9,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from torchreg.descriptors.records import DESCRIPTORS
 from torchreg.descriptors.fuse import fuse, rooted
+from torchreg.descriptors.records import DESCRIPTORS
 from torchreg.errors import at_least, expect, expect_shape, fraction, one_of, positive
 from torchreg.geometry.numerics.derivatives import transformed
-from torchreg.geometry.robust_kabsch import robust_kabsch
 from torchreg.geometry.se3 import apply_rotation, rigid
-from torchreg.geometry.soft_kabsch import soft_kabsch
+from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
 from torchreg.matching import soft_match
 from torchreg.matching.soft import METHODS
 from torchreg.nn.precision import full_precision, widened
@@ -143,7 +142,7 @@ class WeightedKabsch(nn.Module):
     """Least-squares poses over all pairs of points, weighted by confidence; optionally robust against wrong pairs.
 
     Args:
-        rounds: of reweighting, in which pairs far apart under the last pose count less (``geometry.robust_kabsch``);
+        rounds: of reweighting, in which pairs far apart under the last pose count less (``robust_kabsch``);
             0: plain least squares, where every wrong pair pulls.
         scale: meters, above 0, of the last round: a pair this far apart counts a quarter. About the distance up to
             which a pair is an inlier. Needed with rounds unless ``forward`` is given one.

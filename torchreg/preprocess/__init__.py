@@ -1,4 +1,4 @@
-"""Before any descriptor: fewer points, and normals that face the scanner."""
+"""Downsampling, and normals that face the scanner."""
 
 from torchreg.preprocess.downsample import (
     farthest_point_downsample,

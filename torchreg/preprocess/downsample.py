@@ -1,6 +1,6 @@
-"""Fewer points: voxel means, a random choice, farthest points. What comes out is in Z order.
+"""Fewer points: voxel means, a random choice, farthest points. Results are in Z order.
 
-Points in Z order make every later search and gather faster, since neighbors in space lie close in memory.
+Z order makes every later search and gather faster, since neighbors in space lie close in memory.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator |
         if end - begin <= count:
             kept.append(torch.arange(begin, end))
             continue
-        own = torch.Generator().manual_seed(seed)
-        kept.append(begin + torch.randperm(end - begin, generator=own)[:count].sort().values)
+        of_cloud = torch.Generator().manual_seed(seed)
+        kept.append(begin + torch.randperm(end - begin, generator=of_cloud)[:count].sort().values)
     return _rows(cloud, kept)
 
 

@@ -14,8 +14,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import expect
-from torchreg.geometry.eigen import symmetric_eigen
-from torchreg.geometry.eigen_gradient import least_eigenvector
+from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
 from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.types import Clouds, Neighborhoods
@@ -28,9 +27,9 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     Args:
         cloud: P points.
         near: the support of every point (the paper: 2 m, 30 nearest), the point itself counted.
-        viewpoint: (3,) or (B, 3) meters in the frame of ``points``; ``None`` takes the clouds' own. A cloud
-            whose viewpoint is not known turns its normals to its own mean point: a rule that moves with the
-            cloud, though it cannot know which side was seen.
+        viewpoint: (3,) or (B, 3) meters in the frame of ``points``; ``None`` takes that of the clouds. Where
+            it is not known, normals are turned to the mean point of the cloud: a rule that moves with the cloud,
+            though it cannot know which side was seen.
 
     Returns:
         The clouds with ``normals`` set. With fewer than 3 points in its support, or points all in one place, a
@@ -38,8 +37,8 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
 
         Gradients flow to the points where they ask for it, and to the viewpoint where a normal is its direction.
         They are those of the least eigenvector with the neighborhood and the sign held fixed, exact to second order
-        where the least eigenvalue stands alone; directions that equal eigenvalues leave open get none, so that
-        coincident and collinear points have finite gradients. Chunks are recomputed on the way back: memory stays
+        where the least eigenvalue is single; directions that equal eigenvalues do not determine get none, so that
+        coincident and collinear points have finite gradients. The backward pass recomputes chunks: memory stays
         that of one chunk.
 
     Raises:
@@ -89,7 +88,7 @@ def unit(vectors: Tensor) -> Tensor:
 
 
 def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
-    """(P, 3) float64: from every point to where its normal should look."""
+    """The directions (P, 3) float64, from every point, to which its normal is turned."""
     out = torch.empty(len(cloud.points), 3, dtype=torch.float64, device=cloud.device)
     for b, (begin, end) in enumerate(spans(cloud.offsets)):
         points = cloud.points[begin:end].double()

@@ -1,4 +1,4 @@
-"""The source rows of all pairs in blocks of 256, each block of one pair, and sums over pairs in a fixed order.
+"""The source rows of all pairs in blocks of 256, each block of one pair, and the sum over each pair in a fixed order.
 
 Whole blocks let one elementwise pass serve the packed batch, with one transform per block. The order in which a
 pair's rows are added follows from its own rows alone, so its sums have the same bits in any batch and with any
@@ -21,7 +21,7 @@ _CHUNK_WIDTH = 8  # temporaries of a row that should stay in the cache together
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Which block belongs to which pair.
+    """The blocks of every pair.
 
     Attributes:
         pair: (n,) int64, ascending.
@@ -51,7 +51,7 @@ class Blocks:
         return out.view(values.shape[1], *self.real.shape)
 
     def keep(self, pairs: list[int]) -> tuple[Blocks, Tensor]:
-        """The blocks of these pairs, ascending, and their numbers here."""
+        """The blocks of some pairs, ascending, and the places of these blocks in this object."""
         device = self.pair.device
         ends = torch.tensor(self.counts).cumsum(0).tolist()
         parts = [torch.arange(ends[b] - self.counts[b], ends[b]) for b in pairs]

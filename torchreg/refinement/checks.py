@@ -1,4 +1,4 @@
-"""What ``icp`` refuses, and why a pair cannot begin."""
+"""What ``icp`` refuses, and why a pair cannot start."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.refinement.options import IcpOptions
+from torchreg.refinement.options import KINDS, IcpOptions
 from torchreg.refinement.pairing import Pairing
 from torchreg.types import Clouds
 
@@ -17,29 +17,15 @@ _RIGID = 1e-3  # largest entry of R R^T - I that passes for rounding
 _LARGEST = 1e100  # coordinates whose squares and their sums stay finite
 
 
-def per_pair(options: IcpOptions | Sequence[IcpOptions] | None, pairs: int) -> list[IcpOptions]:
-    """The options of every pair."""
-    if options is None or isinstance(options, IcpOptions):
-        return [options or IcpOptions()] * pairs
-    expect(isinstance(options, Sequence), "options", "IcpOptions or a sequence of them", options)
-    listed = list(options)
-    expect(len(listed) == pairs, "options", f"one, or one per pair ({pairs})", len(listed))
-    for option in listed:
-        expect(isinstance(option, IcpOptions), "options", "IcpOptions or a sequence of them", option)
-    return listed
-
-
 def expect_attributes(source: Clouds, target: Clouds, kind: str) -> None:
-    """Refuse clouds without the normals and colors that a kind needs."""
-    if kind != "point_to_point":
-        expect(target.normals is not None, "target", f"normals, which kind={kind!r} needs", "none")
-    if kind == "colored":
-        expect(source.colors is not None, "source", f"colors, which kind={kind!r} needs", "none")
-        expect(target.colors is not None, "target", f"colors, which kind={kind!r} needs", "none")
+    """Refuse clouds without the normals or colors that a kind needs."""
+    clouds = {"source": source, "target": target}
+    for side, name in KINDS[kind].needs:
+        expect(getattr(clouds[side], name) is not None, side, f"{name}, which kind={kind!r} needs", "none")
 
 
 def broken(source: Clouds, target: Clouds, pairing: Pairing, T: Tensor, options: Sequence[IcpOptions]) -> list[str]:
-    """Why a pair cannot begin, empty where it can."""
+    """Why every pair cannot start, empty where it can."""
     finite = torch.isfinite(T).all(dim=2).all(dim=1)
     R = T[:, :3, :3]
     square = apply_rotation(R[:, None], R)  # (B, 3, 3): R R^T, transposed
@@ -71,10 +57,7 @@ def _flaw(clouds: Clouds, side: str, b: int, kind: str) -> str:
     if begin == end:
         return f"the {side} is empty"
     needed = {"points": clouds.points[begin:end], "origin": clouds.origin[b]}
-    if kind != "point_to_point" and side == "target" and clouds.normals is not None:
-        needed["normals"] = clouds.normals[begin:end]
-    if kind == "colored" and clouds.colors is not None:
-        needed["colors"] = clouds.colors[begin:end]
+    needed |= {name: getattr(clouds, name)[begin:end] for of_side, name in KINDS[kind].needs if of_side == side}
     for name, values in needed.items():
         if not bool((values.abs() < _LARGEST).all()):
             return f"the {side} has {name} that are not finite"

@@ -1,4 +1,7 @@
-"""What the loop asks of a kind of ICP: terms to be summed over correspondences, and the update from the sums."""
+"""What the loop asks of a kind of ICP: terms to be summed over correspondences, and the update from the sums.
+
+A new kind is one file with its ``IcpKind`` and one line in ``options.KINDS``.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,18 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torchreg.refinement.kernels import Kernel
+from torchreg.types import Clouds
 
-class Matched(NamedTuple):
+
+class MatchedBlocks(NamedTuple):
     """Some rows of the batch with their correspondences; k blocks of 256 rows, float64.
 
     Attributes:
         moved: (3, k, 256) source points in the target's frame, meters.
-        partner: (A, k, 256) the target points nearest to them: x, y, z and what else the kind needs of them.
+        partner: (A, k, 256) the target points nearest to them: x, y, z and the other columns of the kind.
         inside: (k, 256) 1 where the two are a correspondence, 0 elsewhere.
-        extra: (E, k, 256) what else the kind knows of source points.
+        extra: (E, k, 256) the kind's columns of source points.
         kernel_scale: (k, 1).
         color_weight: (k, 1).
     """
@@ -34,7 +40,7 @@ class Update(NamedTuple):
     Attributes:
         rotation: (B, 3, 3) float64.
         translation: (B, 3) float64, meters.
-        usable: (B,) bool; where it is false the correspondences leave the motion open.
+        usable: (B,) bool; where it is false the correspondences do not determine the motion.
     """
 
     rotation: Tensor
@@ -43,7 +49,7 @@ class Update(NamedTuple):
 
 
 class Estimator(NamedTuple):
-    """One kind of ICP.
+    """What the loop sums over correspondences, and how it gets from the sums to an update.
 
     Attributes:
         channels: C.
@@ -52,5 +58,20 @@ class Estimator(NamedTuple):
     """
 
     channels: int
-    terms: Callable[[Matched], Tensor]
+    terms: Callable[[MatchedBlocks], Tensor]
     solve: Callable[[Tensor, Tensor], Update]
+
+
+class IcpKind(NamedTuple):
+    """One kind of ICP: what it needs of the clouds, and how it estimates the motion.
+
+    Attributes:
+        needs: pairs of ("source" or "target", attribute of ``Clouds``).
+        columns: from the source and target clouds and the largest distance (T,) of every target, meters, to what the
+            estimator reads of target points (N, A), x, y, z first, and of source points (P, E).
+        estimator: from the kernel that weighs residuals to the estimator.
+    """
+
+    needs: tuple[tuple[str, str], ...]
+    columns: Callable[[Clouds, Clouds, Tensor], tuple[Tensor, Tensor]]
+    estimator: Callable[[Kernel], Estimator]

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchreg.refinement.estimator import Update
 
 CHANNELS = 28  # the upper triangle of the 7 x 7 products of (J, r)
-_RANK = 1e-10  # of the least to the largest eigenvalue, unknowns scaled alike: below it the motion is open
+_RANK = 1e-10  # of the least to the largest eigenvalue, unknowns scaled alike: below it the motion is not determined
 
 
 def products(rows: Tensor, weight: Tensor, onto: Tensor | None = None) -> Tensor:
@@ -61,7 +61,7 @@ def solve(sums: Tensor, center: Tensor) -> Update:
 
 
 def rotation_zyx(angles: Tensor) -> Tensor:
-    """Rz(c) Ry(b) Rx(a) of angles (a, b, c) (B, 3) in radians: (B, 3, 3), one by one, so that no batch shows."""
+    """Rz(c) Ry(b) Rx(a) (B, 3, 3) of angles (a, b, c) (B, 3), radians; one by one, so that no batch changes a bit."""
     matrices = [_rotation_zyx(*row) for row in angles.tolist()]
     return torch.tensor(matrices, dtype=angles.dtype, device=angles.device).view(-1, 3, 3)
 

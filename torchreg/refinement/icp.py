@@ -7,17 +7,23 @@ Besl and McKay (PAMI 14(2), 1992, doi:10.1109/34.121791); the update and the rul
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_device, expect_floating
-from torchreg.refinement.checks import per_pair
+from torchreg.geometry.numerics.threads import shared_out
+from torchreg.refinement.checks import broken, expect_attributes
+from torchreg.refinement.levels import refine_levels
+from torchreg.refinement.loop import State
 from torchreg.refinement.options import IcpOptions
-from torchreg.refinement.pairing import one_to_one
-from torchreg.refinement.pairs import refine_pairs
+from torchreg.refinement.pairing import Pairing, among, centered_frames, enter, leave, one_to_one
 from torchreg.refinement.result import IcpResult
 from torchreg.types import Clouds
+
+_SHARED_POINTS = 20_000
+"""Source points from which threads share the pairs: 5 pairs of 600 points take twice as long on two as on one."""
 
 
 def icp(
@@ -39,7 +45,7 @@ def icp(
 
     Returns:
         IcpResult. A pair fails as data, with a reason: points, normals, colors or a transform that are not finite,
-        an empty cloud, no correspondences, correspondences that leave the motion open. No gradients flow: inputs
+        an empty cloud, no correspondences, correspondences that do not determine the motion. No gradients flow: inputs
         are detached.
 
     Raises:
@@ -64,6 +70,115 @@ def icp(
         T_target_source,
     )
     expect_floating(T_target_source, "T_target_source")
-    chosen = per_pair(options, pairs)
+    chosen = _per_pair(options, pairs)
     T = T_target_source.to(source.device, torch.float64).expand(pairs, 4, 4)
     return refine_pairs(source, target, one_to_one(pairs), T, chosen)
+
+
+def refine_pairs(
+    source: Clouds, target: Clouds, pairing: Pairing, T_target_source: Tensor, options: Sequence[IcpOptions]
+) -> IcpResult:
+    """Refine B pairs of clouds that several of them may share; shapes are not checked.
+
+    Many starts on one pair of clouds are many pairs here. Each cloud is checked, centered, ordered and searched through
+    one tree for all of them. A pair's result has the same bits as that of ``icp`` with clouds of its own.
+
+    Args:
+        source: clouds with what the kinds need.
+        target: likewise.
+        pairing: which of them make up the B pairs.
+        T_target_source: (B, 4, 4) float64: where to start.
+        options: B of them; pairs that share a cloud have the same.
+    """
+    for kind in dict.fromkeys(option.kind for option in options):
+        expect_attributes(source, target, kind)
+    source, target, T = source.detach(), target.detach(), T_target_source.detach()
+    state = State.start(T, broken(source, target, pairing, T, options))
+    refined = T.clone()
+    lengths = source.lengths
+    sizes = [lengths[one] for one in pairing.source]
+    workers = _workers(source, sum(sizes))
+    groups = _groups(options, state.failed, pairing, sizes, workers)
+
+    def run(members: list[int]) -> tuple[Tensor, State]:
+        one, other, numbers = among(source, target, pairing, members)
+        return _refine(one, other, numbers, T[members], [options[b] for b in members])
+
+    results = shared_out(run, groups, workers) if workers > 1 else list(map(run, groups))
+    for members, (moved, part) in zip(groups, results, strict=True):
+        refined[members] = moved
+        state.write(members, part)
+    return IcpResult(
+        T_target_source=refined,
+        fitness=state.fitness,
+        inlier_rmse=state.inlier_rmse,
+        iterations=torch.tensor(state.iterations, dtype=torch.int64, device=T.device),
+        converged=torch.tensor(state.converged, dtype=torch.bool, device=T.device),
+        reason=tuple(map(_reason, state.failed, state.converged, options)),
+    )
+
+
+class _Alike(NamedTuple):
+    """What the pairs of one batch must share."""
+
+    kind: str
+    kernel: str | None
+    levels: int
+
+
+def _workers(clouds: Clouds, points: int) -> int:
+    """Threads that share the pairs: on the CPU as many as torch may use, but one where that would take longer."""
+    return torch.get_num_threads() if clouds.device.type == "cpu" and points >= _SHARED_POINTS else 1
+
+
+def _groups(
+    options: Sequence[IcpOptions], failed: Sequence[str], pairing: Pairing, sizes: Sequence[int], workers: int
+) -> list[list[int]]:
+    """The pairs that can start, grouped by what a batch must share, every group in parts of about equal size.
+
+    Pairs that share a target stay together.
+    """
+    groups: dict[_Alike, dict[int, list[int]]] = {}
+    for b, option in enumerate(options):
+        if not failed[b]:
+            by_target = groups.setdefault(_Alike(option.kind, option.kernel, len(option.steps)), {})
+            by_target.setdefault(pairing.target[b], []).append(b)
+    parts = []
+    for by_target in groups.values():
+        work = {number: sum(sizes[b] for b in members) for number, members in by_target.items()}
+        shares: list[list[int]] = [[] for _ in range(min(workers, len(work)))]
+        load = [0] * len(shares)
+        for number in sorted(work, key=lambda number: -work[number]):
+            least = load.index(min(load))
+            shares[least] += by_target[number]
+            load[least] += work[number]
+        parts += [sorted(share) for share in shares if share]
+    return parts
+
+
+def _refine(
+    source: Clouds, target: Clouds, pairing: Pairing, T: Tensor, options: Sequence[IcpOptions]
+) -> tuple[Tensor, State]:
+    """Transforms (B, 4, 4) and states of the pairs of one batch."""
+    frames = centered_frames(source, target, pairing)
+    state = State.start(T, [""] * len(T))
+    state.rotation[:], state.translation[:] = enter(frames, T)
+    refine_levels(source, target, pairing, frames, options, state)
+    updated = torch.tensor([count > 0 for count in state.iterations], device=T.device)[:, None, None]
+    return torch.where(updated, leave(frames, state.rotation, state.translation), T), state
+
+
+def _reason(failed: str, converged: bool, option: IcpOptions) -> str:
+    return failed or ("" if converged else f"still moving after {option.steps[-1].iterations} iterations")
+
+
+def _per_pair(options: IcpOptions | Sequence[IcpOptions] | None, pairs: int) -> list[IcpOptions]:
+    """The options of every pair."""
+    if options is None or isinstance(options, IcpOptions):
+        return [options or IcpOptions()] * pairs
+    expect(isinstance(options, Sequence), "options", "IcpOptions or a sequence of them", options)
+    listed = list(options)
+    expect(len(listed) == pairs, "options", f"one, or one per pair ({pairs})", len(listed))
+    for option in listed:
+        expect(isinstance(option, IcpOptions), "options", "IcpOptions or a sequence of them", option)
+    return listed

@@ -40,9 +40,4 @@ def geman_mcclure(residual: Tensor, scale: Tensor) -> Tensor:
     return scale / (spread * spread)
 
 
-BY_NAME: dict[str | None, Kernel] = {
-    None: least_squares,
-    "huber": huber,
-    "tukey": tukey,
-    "geman_mcclure": geman_mcclure,
-}
+KERNELS: dict[str, Kernel] = {"huber": huber, "tukey": tukey, "geman_mcclure": geman_mcclure}

@@ -12,24 +12,17 @@ from torch import Tensor
 from torchreg.geometry.morton import morton_order
 from torchreg.preprocess import voxel_downsample
 from torchreg.refinement.blocks import Blocks
-from torchreg.refinement.color_gradient import color_gradient
-from torchreg.refinement.colored import colored, intensity_of
-from torchreg.refinement.correspond import Correspondence, Target
-from torchreg.refinement.estimator import Estimator
-from torchreg.refinement.frames import Frames
-from torchreg.refinement.kernels import BY_NAME
-from torchreg.refinement.loop import Criteria, State, Work, iterate
-from torchreg.refinement.nearest_few import Search, few_nearest
-from torchreg.refinement.options import IcpLevel, IcpOptions
-from torchreg.refinement.pairing import Pairing, among, numbered
-from torchreg.refinement.point_to_plane import point_to_plane
-from torchreg.refinement.point_to_point import point_to_point
+from torchreg.refinement.correspond import Correspondence, Search, Target, few_nearest
+from torchreg.refinement.kernels import KERNELS, least_squares
+from torchreg.refinement.loop import ActivePairs, Criteria, State, iterate
+from torchreg.refinement.options import KINDS, IcpLevel, IcpOptions
+from torchreg.refinement.pairing import Frames, Pairing, among, numbered
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
 
 class Prepared(NamedTuple):
-    """Clouds made ready: centered, float64, in Z order, and the searches in the points of every target."""
+    """Clouds centered, in float64 and in Z order, and the search in the points of every target."""
 
     source: Clouds
     target: Clouds
@@ -53,24 +46,24 @@ def refine_levels(
         pairing: which of them make up the B pairs.
         frames: of the B pairs.
         options: B of them, alike in kind, kernel and number of levels.
-        state: where the pairs start from; in the end, where they stand.
+        state: where the pairs start from; afterwards, where they ended.
     """
     pairs = list(range(len(options)))
-    ready: tuple[object, Prepared] | None = None
+    prepared: tuple[object, Prepared] | None = None
     for steps in zip(*(option.steps for option in options), strict=True):
         pairs = [b for b in pairs if not state.failed[b]]
         if not pairs:
             return
         voxels = {b: steps[b].voxel_size for b in pairs}
-        if ready is None or ready[0] != voxels:
+        if prepared is None or prepared[0] != voxels:
             thin = _thinned(source, target, pairing, voxels, state)
             pairs = [b for b in pairs if not state.failed[b]]
             if not pairs:
                 return
-            ready = (voxels if len(pairs) == len(voxels) else None, prepare(*thin, _of(frames, pairs)))
-        part = _part(state, pairs)
-        _run(ready[1], _of(frames, pairs), [options[b] for b in pairs], [steps[b] for b in pairs], part)
-        write(state, pairs, part)
+            prepared = (voxels if len(pairs) == len(voxels) else None, prepare(*thin, frames.of(pairs)))
+        part = state.of(pairs)
+        _run(prepared[1], frames.of(pairs), [options[b] for b in pairs], [steps[b] for b in pairs], part)
+        state.write(pairs, part)
 
 
 def prepare(source: Clouds, target: Clouds, pairing: Pairing, frames: Frames) -> Prepared:
@@ -82,10 +75,10 @@ def prepare(source: Clouds, target: Clouds, pairing: Pairing, frames: Frames) ->
 
 
 def _run(
-    ready: Prepared, frames: Frames, options: Sequence[IcpOptions], steps: Sequence[IcpLevel], state: State
+    clouds: Prepared, frames: Frames, options: Sequence[IcpOptions], steps: Sequence[IcpLevel], state: State
 ) -> None:
     """One level of all pairs."""
-    device, (of_source, of_target) = ready.source.device, ready.pairing
+    device, (of_source, of_target) = clouds.source.device, clouds.pairing
     state.converged[:] = [False] * len(options)
 
     def numbers(values: Sequence[float]) -> Tensor:
@@ -99,33 +92,20 @@ def _run(
         relative_fitness=[option.relative_fitness for option in options],
         relative_rmse=[option.relative_rmse for option in options],
     )
-    sources, first = [spans(ready.source.offsets)[b] for b in of_source], ready.target.offsets.tolist()
+    kind, kernel = KINDS[options[0].kind], options[0].kernel
+    estimator = kind.estimator(least_squares if kernel is None else KERNELS[kernel])
+    sources, first = [spans(clouds.source.offsets)[b] for b in of_source], clouds.target.offsets.tolist()
     lengths = [end - begin for begin, end in sources]
     rows = torch.cat([torch.arange(begin, end) for begin, end in sources]).to(device)
     blocks = Blocks.of(lengths, device)
-    radius = _of_clouds(criteria.max_distance, of_target, len(ready.target))
-    estimator, values, extra = _estimator(ready, options[0], radius)
+    max_distance = _of_clouds(criteria.max_distance, of_target, len(clouds.target))
+    values, extra = kind.columns(clouds.source, clouds.target, max_distance)
     searched = Target(
-        values.t().contiguous(), tuple(first[b] for b in of_target), tuple(ready.search[b] for b in of_target)
+        values.t().contiguous(), tuple(first[b] for b in of_target), tuple(clouds.search[b] for b in of_target)
     )
-    matches = Correspondence(blocks, blocks.fill(ready.source.points[rows]), searched, criteria.max_distance)
-    work = Work(matches, blocks.fill(extra[rows]), numbers(lengths))
-    iterate(work, frames.target_center, estimator, criteria, state)
-
-
-def _estimator(ready: Prepared, options: IcpOptions, max_distance: Tensor) -> tuple[Estimator, Tensor, Tensor]:
-    """The kind of ICP, and what it needs to know of target points (N, A) and of source points (P, E)."""
-    source, target, kernel = ready.source, ready.target, BY_NAME[options.kernel]
-    nothing = source.points[:, :0]
-    if target.normals is None or options.kind == "point_to_point":
-        return point_to_point(kernel), target.points, nothing
-    planes = torch.cat([target.points, target.normals], dim=1)  # (N, 6)
-    if target.colors is None or source.colors is None or options.kind == "point_to_plane":
-        return point_to_plane(kernel), planes, nothing
-    intensity = intensity_of(target.colors)
-    gradient = color_gradient(target, target.normals, intensity, 2 * max_distance.cpu())
-    values = torch.cat([planes, gradient, intensity[:, None]], dim=1)  # (N, 10)
-    return colored(kernel), values, intensity_of(source.colors)[:, None]
+    matches = Correspondence(blocks, blocks.fill(clouds.source.points[rows]), searched, criteria.max_distance)
+    active = ActivePairs(matches, blocks.fill(extra[rows]), numbers(lengths))
+    iterate(active, frames.target_center, estimator, criteria, state)
 
 
 def _thinned(
@@ -175,33 +155,7 @@ def _centered(clouds: Clouds, center: Tensor) -> Clouds:
 
 
 def _of_clouds(values: Tensor, which: Sequence[int], clouds: int) -> Tensor:
-    """What pairs have (B, ...) as what their clouds (S, ...) have; pairs that share a cloud have the same."""
+    """Values of pairs (B, ...) as values of their clouds (S, ...); pairs that share a cloud have the same value."""
     out = values.new_zeros(clouds, *values.shape[1:])
     out[list(which)] = values
     return out
-
-
-def _of(frames: Frames, pairs: list[int]) -> Frames:
-    return Frames(*(zero[pairs] for zero in frames))
-
-
-def _part(state: State, pairs: list[int]) -> State:
-    """A copy of the state of some pairs."""
-    return State(
-        rotation=state.rotation[pairs],
-        translation=state.translation[pairs],
-        fitness=state.fitness[pairs],
-        inlier_rmse=state.inlier_rmse[pairs],
-        iterations=[state.iterations[b] for b in pairs],
-        converged=[state.converged[b] for b in pairs],
-        failed=[state.failed[b] for b in pairs],
-    )
-
-
-def write(state: State, pairs: list[int], part: State) -> None:
-    """Put the state of some pairs back."""
-    for name in ("rotation", "translation", "fitness", "inlier_rmse"):
-        getattr(state, name)[pairs] = getattr(part, name)
-    for name in ("iterations", "converged", "failed"):
-        for b, value in zip(pairs, getattr(part, name), strict=True):
-            getattr(state, name)[b] = value

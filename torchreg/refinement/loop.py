@@ -1,6 +1,6 @@
 """The iteration: match, update, match again, until fitness and inlier_rmse stand still.
 
-All pairs of a batch advance together; a pair that has converged or failed leaves the work.
+All pairs of a batch advance together; a pair that has converged or failed is active no more.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.refinement.correspond import Correspondence
-from torchreg.refinement.estimator import Estimator, Matched
+from torchreg.refinement.estimator import Estimator, MatchedBlocks
 
 NO_CORRESPONDENCES = "no correspondences: no source point has a target point nearer than max_distance"
 OPEN_MOTION = "the correspondences leave the motion open: too few, or all on a line, a plane or the like"
@@ -42,7 +42,7 @@ class Criteria(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the pairs stand; its tensors and lists are written in place.
+    """Transforms and progress of the pairs; its tensors and lists are written in place.
 
     Attributes:
         rotation: (B, 3, 3) float64, between the centered frames.
@@ -62,32 +62,66 @@ class State:
     converged: list[bool]
     failed: list[str]
 
+    @staticmethod
+    def start(T: Tensor, failed: list[str]) -> State:
+        """The state before the first iteration, at transforms T (B, 4, 4)."""
+        pairs = len(failed)
+        return State(
+            rotation=T[:, :3, :3].clone(),
+            translation=T[:, :3, 3].clone(),
+            fitness=T.new_zeros(pairs),
+            inlier_rmse=T.new_zeros(pairs),
+            iterations=[0] * pairs,
+            converged=[False] * pairs,
+            failed=failed,
+        )
 
-class Work:
-    """The pairs still at work: their correspondences, what else is known of their points, their numbers.
+    def of(self, pairs: list[int]) -> State:
+        """A copy of the state of some pairs."""
+        return State(
+            rotation=self.rotation[pairs],
+            translation=self.translation[pairs],
+            fitness=self.fitness[pairs],
+            inlier_rmse=self.inlier_rmse[pairs],
+            iterations=[self.iterations[b] for b in pairs],
+            converged=[self.converged[b] for b in pairs],
+            failed=[self.failed[b] for b in pairs],
+        )
+
+    def write(self, pairs: list[int], part: State) -> None:
+        """Write the state of some pairs back."""
+        for name in ("rotation", "translation", "fitness", "inlier_rmse"):
+            getattr(self, name)[pairs] = getattr(part, name)
+        for name in ("iterations", "converged", "failed"):
+            for b, value in zip(pairs, getattr(part, name), strict=True):
+                getattr(self, name)[b] = value
+
+
+class ActivePairs:
+    """The pairs still being refined: their correspondences and the columns of their source points.
 
     Attributes:
         matches: the correspondences of those pairs.
-        extra: (E, n, 256), what the estimator knows of source points beside their place.
+        extra: (E, n, 256), what the estimator reads of source points beside their positions.
     """
 
     def __init__(self, matches: Correspondence, extra: Tensor, lengths: Tensor) -> None:
-        """Begin with all pairs, whose sources have ``lengths`` (B,) points."""
+        """All pairs are active; their sources have ``lengths`` (B,) points."""
         self.matches, self.extra, self._lengths = matches, extra, lengths
 
     @property
     def pairs(self) -> list[int]:
-        """The numbers of the pairs at work."""
+        """The numbers of the active pairs."""
         return self.matches.pairs
 
     def keep(self, stays: list[bool]) -> None:
-        """Go on with some of the pairs."""
+        """Keep some of the pairs."""
         if not all(stays):
             chosen = self.matches.keep([b for b, stay in enumerate(stays) if stay])
             self.extra = self.extra[:, chosen]
 
     def measure(self) -> tuple[Tensor, Tensor]:
-        """Fitness and inlier_rmse (B,) of the pairs at work."""
+        """Fitness and inlier_rmse (B,) of the active pairs."""
         matches = self.matches
 
         def terms(chunk: slice) -> Tensor:
@@ -105,7 +139,7 @@ class Work:
 
         def terms(chunk: slice) -> Tensor:
             return estimator.terms(
-                Matched(
+                MatchedBlocks(
                     moved=matches.moved[:, chunk],
                     partner=matches.partner[:, chunk],
                     inside=matches.inside[chunk].double(),
@@ -118,53 +152,53 @@ class Work:
         return matches.blocks.sums(terms, estimator.channels)
 
 
-def iterate(work: Work, center: Tensor, estimator: Estimator, criteria: Criteria, state: State) -> None:
+def iterate(active: ActivePairs, center: Tensor, estimator: Estimator, criteria: Criteria, state: State) -> None:
     """Refine all pairs of ``state``, none of which has failed.
 
     Args:
-        work: all B pairs, not yet moved.
+        active: all B pairs, not yet moved.
         center: (B, 3) float64, meters, the targets' centers.
         estimator: the kind of ICP.
         criteria: when to stop.
-        state: where the pairs start from; in the end, where they stand.
+        state: where the pairs start from; afterwards, where they ended.
     """
-    work.matches.move(state.rotation, state.translation)
-    state.fitness[:], state.inlier_rmse[:] = work.measure()
-    _dismiss(work, (state.fitness > 0).tolist(), NO_CORRESPONDENCES, state)
-    made = 0
-    while work.pairs:
-        update = estimator.solve(work.sums(estimator, criteria), center[work.pairs])
-        R = apply_rotation(update.rotation[:, None], state.rotation[work.pairs].transpose(1, 2)).transpose(1, 2)
-        t = apply_rotation(update.rotation, state.translation[work.pairs]) + update.translation
+    active.matches.move(state.rotation, state.translation)
+    state.fitness[:], state.inlier_rmse[:] = active.measure()
+    _dismiss(active, (state.fitness > 0).tolist(), NO_CORRESPONDENCES, state)
+    updates = 0
+    while active.pairs:
+        update = estimator.solve(active.sums(estimator, criteria), center[active.pairs])
+        R = apply_rotation(update.rotation[:, None], state.rotation[active.pairs].transpose(1, 2)).transpose(1, 2)
+        t = apply_rotation(update.rotation, state.translation[active.pairs]) + update.translation
         usable = update.usable & torch.isfinite(t).all(dim=1)
-        _dismiss(work, usable.tolist(), OPEN_MOTION, state)
-        if work.pairs:
-            made += 1
-            _advance(work, R[usable], t[usable], made, criteria, state)
+        _dismiss(active, usable.tolist(), OPEN_MOTION, state)
+        if active.pairs:
+            updates += 1
+            _advance(active, R[usable], t[usable], updates, criteria, state)
 
 
-def _advance(work: Work, R: Tensor, t: Tensor, made: int, criteria: Criteria, state: State) -> None:
-    """Move the pairs at work, write down where they stand, and let go those that are done."""
-    work.matches.move(R, t)
-    fitness, rmse = work.measure()
+def _advance(active: ActivePairs, R: Tensor, t: Tensor, updates: int, criteria: Criteria, state: State) -> None:
+    """Move the active pairs, store their state, and drop those that are done."""
+    active.matches.move(R, t)
+    fitness, rmse = active.measure()
     met = fitness > 0
-    _dismiss(work, met.tolist(), NO_CORRESPONDENCES, state)
-    pairs, fitness, rmse = work.pairs, fitness[met], rmse[met]
+    _dismiss(active, met.tolist(), NO_CORRESPONDENCES, state)
+    pairs, fitness, rmse = active.pairs, fitness[met], rmse[met]
     fitness_change = (fitness - state.fitness[pairs]).abs().tolist()
     rmse_change = (rmse - state.inlier_rmse[pairs]).abs().tolist()
     state.rotation[pairs], state.translation[pairs] = R[met], t[met]
     state.fitness[pairs], state.inlier_rmse[pairs] = fitness, rmse
-    goes_on = []
+    stays_active = []
     for b, of_fitness, of_rmse in zip(pairs, fitness_change, rmse_change, strict=True):
         state.iterations[b] += 1
         state.converged[b] = of_fitness < criteria.relative_fitness[b] and of_rmse < criteria.relative_rmse[b]
-        goes_on.append(not state.converged[b] and made < criteria.iterations[b])
-    work.keep(goes_on)
+        stays_active.append(not state.converged[b] and updates < criteria.iterations[b])
+    active.keep(stays_active)
 
 
-def _dismiss(work: Work, stays: list[bool], reason: str, state: State) -> None:
-    """Let the pairs go that cannot go on."""
-    for b, stay in zip(work.pairs, stays, strict=True):
+def _dismiss(active: ActivePairs, stays: list[bool], reason: str, state: State) -> None:
+    """Drop the pairs that cannot go on, with the reason."""
+    for b, stay in zip(active.pairs, stays, strict=True):
         if not stay:
             state.failed[b] = reason
-    work.keep(stays)
+    active.keep(stays)

@@ -1,13 +1,21 @@
-"""What ``icp`` can be told."""
+"""The options of ``icp``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.refinement.colored import COLORED
+from torchreg.refinement.estimator import IcpKind
+from torchreg.refinement.kernels import KERNELS
+from torchreg.refinement.point_to_plane import POINT_TO_PLANE
+from torchreg.refinement.point_to_point import POINT_TO_POINT
 
-KINDS = ("point_to_point", "point_to_plane", "colored")
-KERNELS = ("huber", "tukey", "geman_mcclure")
+KINDS: dict[str, IcpKind] = {
+    "point_to_point": POINT_TO_POINT,
+    "point_to_plane": POINT_TO_PLANE,
+    "colored": COLORED,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +53,11 @@ class IcpOptions:
             normals, both clouds need colors).
         iterations: updates at most.
         relative_fitness: iteration stops when fitness changes by less than this in one update ...
-        relative_rmse: ... and inlier_rmse by less than this, meters. Both are differences, as in Open3D, whose
-            names they bear.
+        relative_rmse: ... and inlier_rmse by less than this, meters. Both are differences, as in Open3D, which
+            has the same names.
         kernel: ``None`` for least squares, or the loss that makes far correspondences count less: ``"huber"``,
             ``"tukey"`` or ``"geman_mcclure"``.
-        kernel_scale: the residual at which the kernel begins to bear down, meters; squared meters for
+        kernel_scale: the residual from which the kernel reduces weights, meters; squared meters for
             ``"geman_mcclure"``, where it stands beside a squared residual, as in Open3D.
         color_weight: in [0, 1], share of the intensity term beside the geometric one in ``"colored"``; Open3D's
             ``lambda_geometric`` is one minus this.
@@ -71,12 +79,12 @@ class IcpOptions:
 
     def __post_init__(self) -> None:
         positive(self.max_distance, "max_distance")
-        one_of(self.kind, "kind", KINDS)
+        one_of(self.kind, "kind", tuple(KINDS))
         at_least(self.iterations, "iterations", 1)
         positive(self.relative_fitness, "relative_fitness")
         positive(self.relative_rmse, "relative_rmse")
         if self.kernel is not None:
-            one_of(self.kernel, "kernel", KERNELS)
+            one_of(self.kernel, "kernel", tuple(KERNELS))
         positive(self.kernel_scale, "kernel_scale")
         fraction(self.color_weight, "color_weight", zero=True)
         levels = isinstance(self.levels, tuple) and all(isinstance(level, IcpLevel) for level in self.levels)

@@ -1,11 +1,22 @@
-"""Which source cloud goes with which target cloud; a cloud may belong to several pairs."""
+"""Pairs of clouds, where a cloud may belong to several pairs, and frames of small numbers for them.
+
+A frame has its zero at the mean point of a cloud, the origin taken out. A transform between files, x_t = R x_s + t,
+becomes R, t' between these frames and comes back without the loss that coordinates of UTM size would bring to sums of
+products.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from typing import NamedTuple, TypeVar
 
+import torch
+from torch import Tensor
+
+from torchreg.geometry.numerics.chunks import stable_sum
+from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.types import Clouds
+from torchreg.types.packing import spans
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -23,12 +34,12 @@ class Pairing(NamedTuple):
 
 
 def one_to_one(pairs: int) -> Pairing:
-    """Every pair has clouds of its own."""
+    """The pairing where every pair has clouds of its own."""
     return Pairing(range(pairs), range(pairs))
 
 
 def among(source: Clouds, target: Clouds, pairing: Pairing, pairs: Sequence[int]) -> tuple[Clouds, Clouds, Pairing]:
-    """The clouds that these of the pairs need, each once, and the pairing among them."""
+    """The clouds that these pairs need, each once, and their pairing among them."""
     one, source_numbers = _needed(source, [pairing.source[b] for b in pairs])
     other, target_numbers = _needed(target, [pairing.target[b] for b in pairs])
     return one, other, Pairing(source_numbers, target_numbers)
@@ -44,3 +55,47 @@ def numbered(keys: Sequence[Key]) -> tuple[list[Key], list[int]]:
 def _needed(clouds: Clouds, which: Sequence[int]) -> tuple[Clouds, list[int]]:
     different, numbers = numbered(which)
     return (clouds if different == list(range(len(clouds))) else clouds.select(different)), numbers
+
+
+class Frames(NamedTuple):
+    """The zeros of both frames of every pair, (B, 3) float64, meters.
+
+    Attributes:
+        source_center: relative to the source's origin: the mean of its points.
+        target_center: likewise.
+        source_origin: of the clouds.
+        target_origin: of the clouds.
+    """
+
+    source_center: Tensor
+    target_center: Tensor
+    source_origin: Tensor
+    target_origin: Tensor
+
+    def of(self, pairs: list[int]) -> Frames:
+        """The frames of some of the pairs."""
+        return Frames(*(zero[pairs] for zero in self))
+
+
+def centered_frames(source: Clouds, target: Clouds, pairing: Pairing) -> Frames:
+    """The frames of B pairs of finite, not empty clouds."""
+    one, other = list(pairing.source), list(pairing.target)
+    return Frames(_means(source)[one], _means(target)[other], source.origin[one], target.origin[other])
+
+
+def enter(frames: Frames, T_target_source: Tensor) -> tuple[Tensor, Tensor]:
+    """R (B, 3, 3) and t (B, 3) between the centered frames, from transforms (B, 4, 4) between those of the files."""
+    R = T_target_source[:, :3, :3]
+    between = T_target_source[:, :3, 3] + apply_rotation(R, frames.source_origin) - frames.target_origin
+    return R, between + apply_rotation(R, frames.source_center) - frames.target_center
+
+
+def leave(frames: Frames, rotation: Tensor, translation: Tensor) -> Tensor:
+    """Back from the centered frames to T_target_source (B, 4, 4) between those of the files."""
+    between = translation - apply_rotation(rotation, frames.source_center) + frames.target_center
+    return rigid(rotation, between - apply_rotation(rotation, frames.source_origin) + frames.target_origin)
+
+
+def _means(clouds: Clouds) -> Tensor:
+    means = [stable_sum(clouds.points[i:j].double()) / max(1, j - i) for i, j in spans(clouds.offsets)]
+    return torch.stack(means) if means else clouds.origin

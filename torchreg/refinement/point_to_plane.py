@@ -9,15 +9,16 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.refinement.estimator import Estimator, Matched
+from torchreg.refinement.estimator import Estimator, IcpKind, MatchedBlocks
 from torchreg.refinement.gauss_newton import CHANNELS, products, solve
 from torchreg.refinement.kernels import Kernel
+from torchreg.types import Clouds
 
 
 def point_to_plane(kernel: Kernel) -> Estimator:
     """Gauss-Newton on the distances to the planes of target points; partners are (x, y, z, normal)."""
 
-    def terms(matched: Matched) -> Tensor:
+    def terms(matched: MatchedBlocks) -> Tensor:
         n = matched.partner[3:6]
         residual = plane_residual(matched)
         weight = matched.inside * kernel(residual, matched.kernel_scale)
@@ -26,14 +27,14 @@ def point_to_plane(kernel: Kernel) -> Estimator:
     return Estimator(CHANNELS, terms, solve)
 
 
-def plane_residual(matched: Matched) -> Tensor:
-    """(p - q) . n, meters, (k, 256)."""
+def plane_residual(matched: MatchedBlocks) -> Tensor:
+    """The distances (k, 256) to planes, (p - q) . n, meters."""
     x, y, z = (matched.moved - matched.partner[:3]).mul_(matched.partner[3:6]).unbind(0)
     return x.add_(y).add_(z)
 
 
 def jacobian(point: Tensor, direction: Tensor, residual: Tensor) -> Tensor:
-    """(7, k, 256): point x direction, direction, residual."""
+    """The rows (7, k, 256) of (J, r): point x direction, direction, residual."""
     out = point.new_empty(7, *residual.shape)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -42,3 +43,18 @@ def jacobian(point: Tensor, direction: Tensor, residual: Tensor) -> Tensor:
     out[3:6] = direction
     out[6] = residual
     return out
+
+
+def planes(target: Clouds) -> Tensor:
+    """The columns x, y, z, normal (N, 6) of target points."""
+    if target.normals is None:
+        raise ValueError("target: expected normals, got none")
+    return torch.cat([target.points, target.normals], dim=1)
+
+
+def _columns(source: Clouds, target: Clouds, max_distance: Tensor) -> tuple[Tensor, Tensor]:
+    del max_distance
+    return planes(target), source.points[:, :0]
+
+
+POINT_TO_PLANE = IcpKind(needs=(("target", "normals"),), columns=_columns, estimator=point_to_plane)

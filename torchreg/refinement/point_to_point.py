@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.kabsch import from_moments
-from torchreg.refinement.estimator import Estimator, Matched, Update
+from torchreg.refinement.estimator import Estimator, IcpKind, MatchedBlocks, Update
 from torchreg.refinement.kernels import Kernel
+from torchreg.types import Clouds
 
 _RANK = 1e-10  # of the second singular value to the first: below it the points lie on a line
 
@@ -15,10 +16,10 @@ _RANK = 1e-10  # of the second singular value to the first: below it the points 
 def point_to_point(kernel: Kernel) -> Estimator:
     """The closed form of ``kabsch`` on the correspondences.
 
-    Open3D knows no kernel here; ours weighs a correspondence by its distance.
+    Open3D has no kernel here; ours weighs a correspondence by its distance.
     """
 
-    def terms(matched: Matched) -> Tensor:
+    def terms(matched: MatchedBlocks) -> Tensor:
         """w, w p, w q and w p q^T: (16, k, 256)."""
         p, q = matched.moved, matched.partner[:3]
         x, y, z = (p - q).unbind(0)
@@ -45,3 +46,11 @@ def _solve(sums: Tensor, center: Tensor) -> Update:
     spread = torch.linalg.svdvals(covariance)  # descending
     T = from_moments(source_mean, target_mean, covariance)
     return Update(T[:, :3, :3], T[:, :3, 3], some & (spread[:, 1] > _RANK * spread[:, 0]))
+
+
+def _columns(source: Clouds, target: Clouds, max_distance: Tensor) -> tuple[Tensor, Tensor]:
+    del max_distance
+    return target.points, source.points[:, :0]
+
+
+POINT_TO_POINT = IcpKind(needs=(), columns=_columns, estimator=point_to_point)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.records import DESCRIPTORS, Fpfh, Pcfh
@@ -12,10 +12,12 @@ from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled
 
+AnySolver = TypeVar("AnySolver", bound=Solver)
+
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True, kw_only=True, init=False)
 class RegistrationOptions:
     """Everything that ``register`` uses. The defaults are the paper's (section 4.1), for scans of buildings.
 
@@ -202,7 +204,7 @@ def solver_by_name(name: str, like: Solver) -> Solver:
     return like if like.name == name else _alike(SOLVERS[one_of(name, "solver", tuple(SOLVERS))], like)
 
 
-def _alike(kind: type[Any], like: Solver) -> Any:  # noqa: ANN401
+def _alike(kind: type[AnySolver], like: Solver) -> AnySolver:
     if isinstance(like, kind):
         return like
     return kind(inlier_threshold=like.inlier_threshold, local_optimization=like.local_optimization)

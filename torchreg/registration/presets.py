@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from torchreg.descriptors.learned.shipped import shipped_numbers
+from torchreg.descriptors.learned import shipped_numbers
 from torchreg.descriptors.records import Fpfh, Learned
 from torchreg.registration.options import RegistrationOptions
 

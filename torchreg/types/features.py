@@ -1,4 +1,4 @@
-"""Descriptors of every point."""
+"""Descriptors of the points of a packed batch."""
 
 from __future__ import annotations
 

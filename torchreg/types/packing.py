@@ -18,7 +18,7 @@ def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor
     """
     expect_shape(offsets, name, ("B+1",))
     expect_dtype(offsets, name, torch.int64)
-    if torch.compiler.is_compiling():  # which knows no values to look at
+    if torch.compiler.is_compiling():  # where values are not known
         return offsets
     offsets = offsets.cpu()
     listed = offsets.tolist()

@@ -1,4 +1,4 @@
-"""What callers may hand to soft binning, checked."""
+"""Checks of the arguments of soft binning."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def expect_binning(binning: str, bandwidth: float, *, edges: Tensor | None, neig
 def expect_finite(value: Tensor, name: str, *, unit: bool = False) -> None:
     """Refuse numbers that are not finite, or not in [0, 1] where ``unit``.
 
-    Inside compilation and transforms, where no value can be read, nothing is looked at.
+    Inside compilation and transforms, where no value can be read, nothing is checked.
     """
     if transformed(value):
         return

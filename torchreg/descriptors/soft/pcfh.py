@@ -56,12 +56,12 @@ def soft_pcfh(
 
 
 def _shares(piece: Piece, bins: int, channels: tuple[int, ...], bandwidth: float) -> list[Shares]:
-    """Between which bins the differences of every channel stand."""
+    """The bins between which the differences of every channel lie."""
     edges = None if piece.settings is None else piece.settings.view(len(piece.votes), -1, bins + 1)
     return [
         _channel_shares(
-            piece.own[channel],
-            piece.near[channel],
+            piece.query[channel],
+            piece.neighbor[channel],
             channel == _HUE,
             bins,
             bandwidth,
@@ -73,14 +73,16 @@ def _shares(piece: Piece, bins: int, channels: tuple[int, ...], bandwidth: float
 
 @fusible
 def _channel_shares(
-    own: Tensor, near: Tensor, circular: bool, bins: int, bandwidth: float, edges: Tensor | None
+    query: Tensor, neighbor: Tensor, circular: bool, bins: int, bandwidth: float, edges: Tensor | None
 ) -> Shares:
-    return bin_shares(soft_difference(own, near, circular=circular), bins, bandwidth, edges=edges)
+    return bin_shares(soft_difference(query, neighbor, circular=circular), bins, bandwidth, edges=edges)
 
 
 def _votes(piece: Piece, weighted: tuple[bool, ...]) -> list[Tensor]:
     """The votes (r, K) of every channel, by the saturation of both points where that is asked for."""
-    by_saturation = piece.votes * (piece.own[_SATURATION] * piece.near[_SATURATION]) if any(weighted) else piece.votes
+    by_saturation = (
+        piece.votes * (piece.query[_SATURATION] * piece.neighbor[_SATURATION]) if any(weighted) else piece.votes
+    )
     return [by_saturation if channel_weighted else piece.votes for channel_weighted in weighted]
 
 
@@ -95,33 +97,33 @@ def _gradient(
 ) -> PieceGradient:
     """From the gradient (r, channels, bins) of counts to that of colors and votes."""
     zero = torch.zeros_like(piece.votes)
-    near: list[Tensor] = [zero] * len(piece.near)
-    own = [zero[:, 0]] * len(piece.own)
+    neighbor: list[Tensor] = [zero] * len(piece.neighbor)
+    query = [zero[:, 0]] * len(piece.query)
     of_votes = zero
     for place, channel in enumerate(channels):
+        columns = piece.query[channel], piece.neighbor[channel]
         of_value, level = _channel_gradient(
-            piece.own[channel], piece.near[channel], channel == _HUE, votes[place], shares[place], of_counts[:, place],
-            bandwidth,
-        )  # fmt: skip
-        near[channel] = near[channel] + of_value
-        own[channel] = own[channel] - of_value.sum(dim=1)
+            *columns, channel == _HUE, votes[place], shares[place], of_counts[:, place], bandwidth
+        )
+        neighbor[channel] = neighbor[channel] + of_value
+        query[channel] = query[channel] - of_value.sum(dim=1)
         if weighted[place]:
-            a, b = piece.own[_SATURATION], piece.near[_SATURATION]
+            a, b = piece.query[_SATURATION], piece.neighbor[_SATURATION]
             of_product = level * piece.votes
-            near[_SATURATION] = near[_SATURATION] + of_product * a
-            own[_SATURATION] = own[_SATURATION] + (of_product * b).sum(dim=1)
+            neighbor[_SATURATION] = neighbor[_SATURATION] + of_product * a
+            query[_SATURATION] = query[_SATURATION] + (of_product * b).sum(dim=1)
             level = level * (a * b)
         of_votes = of_votes + level
-    return PieceGradient(tuple(own), tuple(near), of_votes)
+    return PieceGradient(tuple(query), tuple(neighbor), of_votes)
 
 
 @fusible
 def _channel_gradient(
-    own: Tensor, near: Tensor, circular: bool, votes: Tensor, shares: Shares, of_counts: Tensor, bandwidth: float
+    query: Tensor, neighbor: Tensor, circular: bool, votes: Tensor, shares: Shares, of_counts: Tensor, bandwidth: float
 ) -> tuple[Tensor, Tensor]:
     """The gradient (r, K) of a neighbor's value, and that of the votes."""
     part = share_gradient(shares, of_counts, bandwidth)
-    difference = near - own
+    difference = neighbor - query
     slope = torch.sign(difference)
     if circular:
         slope = slope * 2 * torch.sign(0.5 - difference.abs())

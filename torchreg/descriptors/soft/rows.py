@@ -1,4 +1,4 @@
-"""Functions of a point and its neighbors, in pieces that are computed again on the way back.
+"""Functions of a point and its neighbors, in pieces of rows that the backward pass computes again.
 
 Plain autograd would keep every intermediate of every pair of neighbors, gigabytes for a cloud of 100,000 points. Here
 the forward pass keeps the inputs alone, and the backward pass goes through the same pieces once more, so that memory
@@ -23,29 +23,29 @@ class Piece(NamedTuple):
     """Some rows of a neighborhood with everything that a kernel reads.
 
     Attributes:
-        own: C columns (r, 1) of the points themselves.
-        near: C columns (r, K) of their neighbors.
+        query: C columns (r, 1) of the points themselves.
+        neighbor: C columns (r, K) of their neighbors.
         votes: (r, K) 1 where a slot holds another point, times its neighbor weight; else 0.
         settings: (r, E) numbers that rows share, such as edges of bins; or ``None``.
     """
 
-    own: tuple[Tensor, ...]
-    near: tuple[Tensor, ...]
+    query: tuple[Tensor, ...]
+    neighbor: tuple[Tensor, ...]
     votes: Tensor
     settings: Tensor | None
 
 
 class PieceGradient(NamedTuple):
-    """What a kernel's derivative by hand returns; ``None`` for what was not asked.
+    """The gradient with respect to a piece, from a kernel's derivative by hand; ``None`` where it is not wanted.
 
     Attributes:
-        own: C columns (r,).
-        near: C columns (r, K).
+        query: C columns (r,).
+        neighbor: C columns (r, K).
         votes: (r, K).
     """
 
-    own: tuple[Tensor, ...]
-    near: tuple[Tensor, ...]
+    query: tuple[Tensor, ...]
+    neighbor: tuple[Tensor, ...]
     votes: Tensor | None
 
 
@@ -53,7 +53,7 @@ Kernel = Callable[[Piece], Tensor]
 """Rows (r, D) of a piece, by differentiable operations that do not mix rows."""
 
 Derivative = Callable[[Piece, Tensor], PieceGradient]
-"""From a piece and the gradient (r, D) of its rows to that of the piece, but for settings: faster than autograd."""
+"""From a piece and the gradient (r, D) of its rows to that of the piece without settings: faster than autograd."""
 
 
 def by_rows(
@@ -83,9 +83,7 @@ def by_rows(
         settings = settings.expand(len(table), -1) if transformed(settings) else _Repeated.call(settings, len(table))
     inputs = (table, weights, settings)
     given = [value for value in inputs if value is not None]
-    if not derivative_wanted(*given):
-        return _whole(kernel, near, *inputs)
-    if any(transformed(value) for value in given):
+    if not derivative_wanted(*given) or any(map(transformed, given)):
         return _whole(kernel, near, *inputs)
     return _ByRows.call(kernel, derivative if settings is None else None, near, *inputs)
 
@@ -132,11 +130,11 @@ class _ByRows(TensorFunction):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
         inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[3:]
-        if torch.is_grad_enabled():  # somebody will differentiate this again
+        if torch.is_grad_enabled():  # a second derivative is wanted
             out = _whole(ctx.kernel, ctx.near, *inputs)
             asked = [value for value, needed in zip(inputs, wanted, strict=True) if needed]
-            found = iter(torch.autograd.grad(out, asked, grads[0], create_graph=True))
-            return None, None, None, *(next(found) if needed else None for needed in wanted)
+            gradients = iter(torch.autograd.grad(out, asked, grads[0], create_graph=True))
+            return None, None, None, *(next(gradients) if needed else None for needed in wanted)
         return None, None, None, *_backward_by_pieces(ctx, inputs, wanted, grads[0])
 
 
@@ -147,45 +145,46 @@ def _backward_by_pieces(
     grad: Tensor,
 ) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
     table, weights, settings = inputs
-    own, gathered = (table.new_zeros(table.shape[1], len(table)) for _ in range(2))
+    queries, neighbors = (table.new_zeros(table.shape[1], len(table)) for _ in range(2))
     of_weights = torch.empty_like(weights) if wanted[1] and weights is not None else None
     of_settings = settings.new_empty(settings.shape) if wanted[2] and settings is not None else None
     cuts, pieces = row_chunks(len(ctx.near), ctx.near.max_neighbors), _pieces(ctx.near, *inputs)
     for rows, piece in zip(cuts, pieces, strict=True):
         if ctx.derivative is not None:
-            found, shared = ctx.derivative(piece, grad[rows]), None
+            of_piece, shared = ctx.derivative(piece, grad[rows]), None
         else:
-            found, shared = _by_autograd(ctx.kernel, piece, wanted, grad[rows])
+            of_piece, shared = _by_autograd(ctx.kernel, piece, wanted, grad[rows])
         if of_settings is not None and shared is not None:
             of_settings[rows] = shared
-        if of_weights is not None and found.votes is not None:
-            of_weights[rows] = found.votes * neighbor_votes(ctx.near.index, ctx.near.valid, rows)
+        if of_weights is not None and of_piece.votes is not None:
+            of_weights[rows] = of_piece.votes * neighbor_votes(ctx.near.index, ctx.near.valid, rows)
         if wanted[0]:
             index = ctx.near.index[rows].reshape(-1)
-            for c in range(len(gathered)):
-                own[c, rows] = found.own[c]
-                gathered[c].index_add_(0, index, found.near[c].reshape(-1))
-    return (own.add_(gathered).t() if wanted[0] else None), of_weights, of_settings
+            for c in range(len(neighbors)):
+                queries[c, rows] = of_piece.query[c]
+                neighbors[c].index_add_(0, index, of_piece.neighbor[c].reshape(-1))
+    return (queries.add_(neighbors).t() if wanted[0] else None), of_weights, of_settings
 
 
 def _by_autograd(
     kernel: Kernel, piece: Piece, wanted: tuple[bool, bool, bool], grad: Tensor
 ) -> tuple[PieceGradient, Tensor | None]:
     """The gradient of a piece, and that of its settings (r, E)."""
-    columns = [value.detach() for value in (*piece.own, *piece.near)]
+    columns = [value.detach() for value in (*piece.query, *piece.neighbor)]
     votes = piece.votes.detach()
     shared = None if piece.settings is None else piece.settings.detach()
     asked = (columns if wanted[0] else []) + ([votes] if wanted[1] else [])
     asked = asked + ([shared] if wanted[2] and shared is not None else [])
     for leaf in asked:
         leaf.requires_grad_()
-    half = len(piece.own)
+    half = len(piece.query)
     with torch.enable_grad():
         out = kernel(Piece(tuple(columns[:half]), tuple(columns[half:]), votes, shared))
-    found = list(torch.autograd.grad(out, asked, grad, allow_unused=True, materialize_grads=True))
-    of_settings = found.pop() if wanted[2] else None
-    of_votes = found.pop() if wanted[1] else None
-    return PieceGradient(tuple(column[:, 0] for column in found[:half]), tuple(found[half:]), of_votes), of_settings
+    gradients = list(torch.autograd.grad(out, asked, grad, allow_unused=True, materialize_grads=True))
+    of_settings = gradients.pop() if wanted[2] else None
+    of_votes = gradients.pop() if wanted[1] else None
+    queries = tuple(column[:, 0] for column in gradients[:half])
+    return PieceGradient(queries, tuple(gradients[half:]), of_votes), of_settings
 
 
 class _Repeated(TensorFunction):

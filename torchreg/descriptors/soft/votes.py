@@ -20,7 +20,7 @@ from torch.nn.functional import hardtanh
 
 
 class Shares(NamedTuple):
-    """Between which two bins every vote stands.
+    """The two bins between which every vote is shared.
 
     Attributes:
         lower: (R, K) int64, one bin.
@@ -34,7 +34,7 @@ class Shares(NamedTuple):
 
 
 def shared_votes(shares: Shares, votes: Tensor, bins: int) -> Tensor:
-    """(R, bins): votes (R, K) given to the bins between which they stand, each row with the sum of its votes.
+    """Histograms (R, bins) of votes (R, K), each shared between two bins; a row sums to the sum of its votes.
 
     Gradients flow to shares and votes.
     """
@@ -44,11 +44,11 @@ def shared_votes(shares: Shares, votes: Tensor, bins: int) -> Tensor:
 
 
 class ShareGradient(NamedTuple):
-    """What the gradient of a histogram does to the votes in it.
+    """The gradient of a histogram with respect to the votes in it.
 
     Attributes:
-        step: (R, K), of a vote's place in bins, for a vote of 1: what one more bin would change.
-        level: (R, K), of the vote itself.
+        step: (R, K), with respect to a vote's position in bins, for a vote of 1.
+        level: (R, K), with respect to the vote itself.
     """
 
     step: Tensor
@@ -68,7 +68,7 @@ def share_gradient(shares: Shares, grad: Tensor, bandwidth: float) -> ShareGradi
 def bin_shares(
     position: Tensor, bins: int, bandwidth: float, *, edges: Tensor | None = None, circular: bool = False
 ) -> Shares:
-    """Between which bins every vote stands.
+    """The two bins between which every vote is shared.
 
     Args:
         position: (R, K) in [0, 1].
@@ -97,7 +97,7 @@ def bin_shares(
 def _between_edges(
     position: Tensor, bins: int, bandwidth: float, edges: Tensor, circular: bool
 ) -> tuple[Tensor, Tensor]:
-    """The share of the upper bin, and the edge between whose neighboring centers a vote stands."""
+    """The share of the upper bin, and the edge between whose neighboring centers a vote lies."""
     width = edges[:, 1:] - edges[:, :-1]  # (R, bins)
     before = torch.cat([width[:, -1:] if circular else width[:, :1], width], dim=1)  # (R, bins + 1)
     after = torch.cat([width, width[:, :1] if circular else width[:, -1:]], dim=1)

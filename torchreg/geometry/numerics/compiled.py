@@ -1,4 +1,4 @@
-"""Kernels fused into one pass by ``torch.compile``, where somebody asks for it.
+"""Kernels fused into one pass by ``torch.compile``, where that is turned on.
 
 The elementwise kernels of this package read their inputs from the cache some hundred times, once per operation. Fused
 they read them once, which is several times faster; compiling takes seconds once for every kernel and machine (a disk
@@ -34,7 +34,7 @@ def compiled_kernels(enabled: bool = True) -> Iterator[None]:
         enabled: ``False`` turns them off, such as where ``TORCHREG_COMPILE=1`` turned them on.
 
     Hard histograms are the same bits with and without; soft ones differ by rounding. The first call of a kernel takes
-    some seconds. Where no compiler is found, that call raises what ``torch.compile`` says.
+    some seconds. Where no compiler is found, that call raises the error of ``torch.compile``.
 
     Example:
         >>> with compiled_kernels(False):

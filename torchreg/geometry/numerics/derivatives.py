@@ -1,4 +1,4 @@
-"""Whether and how anybody may ask for a derivative, so that what only serves it is left out where nobody does."""
+"""Whether a derivative may be wanted, so that work which only serves it is left out where it is not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch.autograd import forward_ad
 
 
 def derivative_wanted(*values: Tensor) -> bool:
-    """Whether a derivative of what is made of these tensors may be asked for, backward or forward.
+    """Whether a derivative with respect to one of these tensors may be wanted, backward or forward.
 
     Inside ``torch.func`` transforms the answer is yes: a tensor mapped over by ``vmap`` does not know that it is
     differentiated outside of it.
@@ -32,10 +32,10 @@ def transformed(value: Tensor) -> bool:
 
 
 class TensorFunction(torch.autograd.Function):
-    """A function of one tensor with a gradient of its own."""
+    """A function that returns one tensor and defines its gradient."""
 
     @classmethod
     def call(cls, *args: object) -> Tensor:
-        """``apply``, which states no types."""
+        """``apply``, with types."""
         result: Tensor = cls.apply(*args)  # type: ignore[no-untyped-call]
         return result

@@ -1,4 +1,4 @@
-"""Parts of one task, shared out among threads that take their operations one by one."""
+"""Parts of one task shared among threads, each of which uses one core."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Done = TypeVar("Done")
 
 
 def shared_out(run: Callable[[Part], Done], parts: Sequence[Part], workers: int) -> list[Done]:
-    """``run`` of every part, in order, by so many threads at most.
+    """The results of ``run`` for every part, in order, computed by ``workers`` threads at most.
 
     While they work, torch uses one thread in an operation: threads within threads would wait for cores, and small
     operations for the threads.

@@ -1,19 +1,26 @@
-"""PCFH with everything that the paper fixes by hand left to training.
+"""PCFH with trained parameters in place of the numbers that the paper fixes by hand (trained by ``torchreg.learning``).
 
 PCFH has equal bins, counts every neighbor alike, and weighs as much as FPFH; histograms are compared as they are. Here
-the edges of the bins, the weight of each channel and of the whole block, the say of every neighbor, and how far the
-entries of either block are moved towards their square roots (``fuse.rooted``) are learned. A neighbor's say comes from
-a small network of what is known about the pair: how far it lies, both saturations, both values, and how much the
+the edges of the bins, the weight of each channel and of the whole block, the weight of every neighbor, and how far the
+entries of either block are moved towards their square roots (``fuse.rooted``) are learned. A neighbor's weight comes
+from a small network of what is known about the pair: how far it lies, both saturations, both values, and how much the
 normals agree. Before training it is the plain rule over hue, saturation and value, not equalized, with equal weights,
 half way to square roots.
 
 The network is written out in basic operations with x / (1 + |x|) for its curves: no matrix product whose sums depend on
 how rows are cut, no function that rounds differently in different lanes.
+
+The weights that come with the library stand in ``learned.json``.
 """
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +33,7 @@ from torchreg.errors import at_least, expect, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
 
+SHIPPED = Path(__file__).with_suffix(".json")
 BLOCK = "learned"
 _CUES = 6
 
@@ -51,10 +59,10 @@ class LearnedColor(nn.Module):
         self.log_channels = nn.Parameter(torch.zeros(len(channels)))
         self.log_block = nn.Parameter(torch.zeros(()))
         self.root_logits = nn.Parameter(torch.zeros(2))  # of geometry and color
-        self.say_in = nn.Linear(_CUES, hidden)
-        self.say_out = nn.Linear(hidden, 1)
-        nn.init.zeros_(self.say_out.weight)
-        nn.init.zeros_(self.say_out.bias)
+        self.cue_layer = nn.Linear(_CUES, hidden)
+        self.weight_layer = nn.Linear(hidden, 1)
+        nn.init.zeros_(self.weight_layer.weight)
+        nn.init.zeros_(self.weight_layer.bias)
 
     def edges(self) -> Tensor:
         """(channels, bins + 1), ascending from 0 to 1. Gradients flow."""
@@ -62,15 +70,15 @@ class LearnedColor(nn.Module):
         return torch.cat([torch.zeros_like(inner[:, :1]), inner, torch.ones_like(inner[:, :1])], dim=1)
 
     def block_weight(self) -> Tensor:
-        """() of this block beside FPFH's 1. Gradients flow."""
+        """The weight () of this block relative to FPFH's. Gradients flow."""
         return self.log_block.exp()
 
     def geometry_root(self) -> Tensor:
-        """() in (0, 1), how far FPFH's entries are moved towards their square roots. Gradients flow."""
+        """How far, in (0, 1), FPFH's entries are moved towards their square roots. Gradients flow."""
         return self.root_logits[0].sigmoid()
 
-    def say(self, cloud: Clouds, near: Neighborhoods, values: Tensor, radius: float | Tensor) -> Tensor:
-        """(P, K) in (0, 2), how much every neighbor counts; 1 before training.
+    def neighbor_weights(self, cloud: Clouds, near: Neighborhoods, values: Tensor, radius: float | Tensor) -> Tensor:
+        """The weight (P, K) of every neighbor, in (0, 2); 1 before training.
 
         Gradients flow to the network, and to values and normals.
         """
@@ -78,23 +86,24 @@ class LearnedColor(nn.Module):
         assert cloud.normals is not None
         reach = radius[:, None].to(near.sq_distance) if isinstance(radius, Tensor) else radius
         columns = [column.contiguous() for column in (*cloud.normals.unbind(dim=1), *values[:, 1:].unbind(dim=1))]
-        parts = [self._say(columns, near, rows, reach) for rows in row_chunks(len(near), near.max_neighbors)]
+        parts = [self._weigh(columns, near, rows, reach) for rows in row_chunks(len(near), near.max_neighbors)]
         return torch.cat(parts) if parts else near.sq_distance
 
-    def _say(self, columns: list[Tensor], near: Neighborhoods, rows: slice, reach: float | Tensor) -> Tensor:
+    def _weigh(self, columns: list[Tensor], near: Neighborhoods, rows: slice, reach: float | Tensor) -> Tensor:
         index = near.index[rows]
         reach = reach[rows] if isinstance(reach, Tensor) else reach
-        own, other = [column[rows, None] for column in columns], [gather(column, index) for column in columns]
+        query, other = [column[rows, None] for column in columns], [gather(column, index) for column in columns]
         distance = torch.where(near.valid[rows], near.sq_distance[rows], 0).clamp(min=0).sqrt() / reach
-        agreement = own[0] * other[0] + own[1] * other[1] + own[2] * other[2]
-        cues = [distance, agreement, *own[3:], *other[3:]]
-        say = self.say_out.bias
-        for weights, bias, out in zip(self.say_in.weight, self.say_in.bias, self.say_out.weight[0], strict=True):
+        agreement = query[0] * other[0] + query[1] * other[1] + query[2] * other[2]
+        cues = [distance, agreement, *query[3:], *other[3:]]
+        weight = self.weight_layer.bias
+        layers = self.cue_layer.weight, self.cue_layer.bias, self.weight_layer.weight[0]
+        for factors, bias, out in zip(*layers, strict=True):
             hidden = bias
-            for weight, cue in zip(weights, cues, strict=True):
-                hidden = hidden + weight * cue
-            say = say + out * _squashed(hidden)
-        return 1 + _squashed(say)
+            for factor, cue in zip(factors, cues, strict=True):
+                hidden = hidden + factor * cue
+            weight = weight + out * _squashed(hidden)
+        return 1 + _squashed(weight)
 
     def forward(self, cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Features:
         """The color block.
@@ -117,7 +126,7 @@ class LearnedColor(nn.Module):
             values=values,
             binning="soft",
             edges=self.edges(),
-            neighbor_weights=self.say(cloud, near, values, radius),
+            neighbor_weights=self.neighbor_weights(cloud, near, values, radius),
         )
         scale = self.log_channels.exp().repeat_interleave(self.bins).to(color.values)
         rows = rooted(color.values, self.root_logits[1].sigmoid().to(color.values)) * scale
@@ -130,6 +139,50 @@ class LearnedColor(nn.Module):
         width = geometry.values.shape[1]
         scale = torch.cat([torch.ones_like(weight).expand(width), weight.expand(color.values.shape[1])])
         return replace(alike, values=alike.values * scale)
+
+
+def save_weights(model: LearnedColor, path: Path) -> Path:
+    """Write a model's sizes and parameters."""
+    content = {
+        "bins": model.bins,
+        "channels": list(model.channels),
+        "hidden": model.hidden,
+        "parameters": {name: value.detach().double().tolist() for name, value in model.state_dict().items()},
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    return path
+
+
+def load_weights(path: Path = SHIPPED) -> LearnedColor:
+    """A model as ``save_weights`` wrote it; without a path, the one that comes with the library.
+
+    Raises:
+        FileNotFoundError: no such file.
+        RuntimeError: parameters that do not fit the sizes.
+    """
+    content: dict[str, Any] = json.loads(path.read_text())
+    with torch.random.fork_rng(devices=[]):  # the drawn weights are overwritten at once
+        model = LearnedColor(bins=content["bins"], channels=tuple(content["channels"]), hidden=content["hidden"])
+    model.load_state_dict({name: torch.tensor(value) for name, value in content["parameters"].items()})
+    return model.requires_grad_(False)
+
+
+def shipped_color(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Features:
+    """The color block of the shipped weights; arguments as for ``LearnedColor``. No gradients."""
+    with torch.no_grad():
+        features: Features = _shipped(str(cloud.device))(cloud, near.trimmed(), radius)
+    return features
+
+
+def shipped_numbers() -> tuple[float, float]:
+    """The shipped block's weight relative to FPFH's, and how far FPFH's entries are moved towards square roots."""
+    parameters = json.loads(SHIPPED.read_text())["parameters"]
+    return math.exp(parameters["log_block"]), 1 / (1 + math.exp(-parameters["root_logits"][0]))
+
+
+@cache
+def _shipped(device: str) -> LearnedColor:
+    return load_weights().to(device)
 
 
 def _squashed(x: Tensor) -> Tensor:

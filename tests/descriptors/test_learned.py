@@ -52,7 +52,7 @@ def test_a_radius_a_point_is_that_radius():
 def test_weights_survive_the_disk(tmp_path):
     torch.manual_seed(3)
     model = LearnedColor(bins=7, channels=("hue", "value"), hidden=4)
-    torch.nn.init.normal_(model.say_out.weight)
+    torch.nn.init.normal_(model.weight_layer.weight)
     again = load_weights(save_weights(model, tmp_path / "weights.json"))
     for one, other in zip(model.state_dict().values(), again.state_dict().values(), strict=True):
         assert same_bits(one, other)
