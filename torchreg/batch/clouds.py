@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchreg.batch.pairs import Pair
 from torchreg.io import read_cloud
-from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.io.placement import viewpoint_of_text
 from torchreg.preprocess import random_downsample
 from torchreg.registration.inspect import facts_of, too_wide
 from torchreg.registration.scale import MAX_POINTS, CloudScale

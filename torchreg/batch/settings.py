@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from torchreg.errors import at_least, expect, one_of
-from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.io.placement import viewpoint_of_text
 from torchreg.registration.overrides import OptionOverrides
 from torchreg.types.options import EFFORTS, SOLVERS
 

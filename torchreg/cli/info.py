@@ -12,7 +12,7 @@ from torchreg.cli import options as opt
 from torchreg.cli.output import STANDARD_OUTPUT, standard_output, write_json
 from torchreg.cli.progress import step
 from torchreg.io import CloudFile, read_cloud_report
-from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.io.placement import viewpoint_of_text
 from torchreg.registration import derive_options, spacing
 from torchreg.registration.inspect import refuse
 from torchreg.types import RegistrationOptions

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchreg.cli import options as opt
 from torchreg.cli.progress import step
 from torchreg.io import CloudFile, read_cloud_report
-from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.io.placement import viewpoint_of_text
 from torchreg.preprocess import random_downsample
 from torchreg.types import Clouds
 
