@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,20 +12,21 @@ from typing import Any
 import torch
 
 from torchreg.io.atomic import atomic_write
+from torchreg.io.result_json import plain_data
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Failure, Features, RegistrationOptions
 from torchreg.version import __version__
 
 _FORMAT = 2
-_CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results unseen
+_CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results without a trace
 
 
 def described_name(digest: str, options: RegistrationOptions, device: str) -> str:
     """The file's name for a cloud of this digest and these ``description_options``, described on a device."""
     made = {"format": _FORMAT, "device": device, **computing_versions()}
-    said = json.dumps({**made, "cloud": digest, "options": asdict(options)})
-    return f"{hashlib.blake2b(said.encode(), digest_size=16).hexdigest()}.pt"
+    key = json.dumps({**made, "cloud": digest, "options": plain_data(options)})
+    return f"{hashlib.blake2b(key.encode(), digest_size=16).hexdigest()}.pt"
 
 
 def computing_versions() -> dict[str, str]:
@@ -54,11 +54,11 @@ def write_described(path: Path, described: DescribedClouds) -> None:
         "spacing": list(described.spacing),
         "facts": [_plain(facts) for facts in described.facts],
     }
-    held = io.BytesIO()
-    torch.save(content, held)
-    with atomic_write(path, durable=False) as file:  # what a power cut damages is told by the checksum
-        file.write(_checksum(held.getvalue()))
-        file.write(held.getvalue())
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    with atomic_write(path, durable=False) as file:  # the checksum shows what a power cut damaged
+        file.write(_checksum(buffer.getvalue()))
+        file.write(buffer.getvalue())
 
 
 def read_described(path: Path) -> DescribedClouds | None:
@@ -67,10 +67,10 @@ def read_described(path: Path) -> DescribedClouds | None:
         content = path.read_bytes()
     except OSError:
         return None
-    checksum, held = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-    if _checksum(held) != checksum:
+    checksum, body = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+    if _checksum(body) != checksum:
         return None
-    return _described(torch.load(io.BytesIO(held), map_location="cpu", weights_only=True))
+    return _described(torch.load(io.BytesIO(body), map_location="cpu", weights_only=True))
 
 
 def _plain(facts: CloudFacts) -> list[Any]:

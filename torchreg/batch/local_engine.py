@@ -1,7 +1,7 @@
 """The batch engine of one machine: a ``DataLoader`` whose workers read clouds and, on the CPU, compute too.
 
-Reading overlaps with computing, since each of the workers does now the one and now the other; results come as they
-are ready. For a GPU the workers load and this process computes. Processes rather than threads: on small clouds most of
+Reading overlaps with computing, since the workers are not at the same step at the same time; results come as they are
+ready. For a GPU the workers load and this process computes. Processes rather than threads: on small clouds most of
 the time goes into the interpreter, which threads share (measured on two cores, pairs of 1,000 and of 8,000 points: two
 threads no faster than one, two processes twice as fast).
 """
@@ -23,8 +23,7 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from torchreg.batch.jobs import Job, load_and_compute
-from torchreg.batch.outcome import Outcome, attempt
+from torchreg.batch.engine import Job, Outcome, attempt, load_and_compute
 from torchreg.errors import at_least
 
 _DEATHS = 3  # that one item may cause, alone
