@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import pytest
 import typer
@@ -13,7 +12,7 @@ from typer.testing import CliRunner
 from torchreg.cli.app import app
 from torchreg.cli.expand import expanded
 from torchreg.registration import PAPER
-from torchreg.settings import PairSettings, Setting, Settings, StageSettings, declared
+from torchreg.settings import PairSettings, Settings, StageSettings, declared, setting
 
 SETTINGS = declared(PairSettings)
 COMMANDS = {"register": Settings, "batch": PairSettings, "check": StageSettings}
@@ -39,9 +38,9 @@ def test_every_setting_is_an_option_of_the_commands_that_take_it(command, name):
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_every_setting_is_remembered_and_a_column(name):
-    kind, setting = SETTINGS[name]
-    cell = setting.choices[-1] if setting.choices else CELLS[kind]
-    base = PairSettings(solver="ransac" if setting.of_ransac else None)
+    kind, known = SETTINGS[name]
+    cell = known.choices[-1] if known.choices else CELLS[kind]
+    base = PairSettings(solver="ransac" if known.of_ransac else None)
     changed = base.with_columns({name: cell}, "t.csv, line 3")
     assert list(changed.flat()) == list(SETTINGS)
     assert changed.flat() == base.flat() | {name: {"yes": True}.get(cell, kind(cell))}
@@ -51,31 +50,30 @@ def test_every_setting_is_remembered_and_a_column(name):
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_every_setting_says_what_it_is(name):
-    kind, setting = SETTINGS[name]
-    assert setting.help[0].isupper()
-    assert setting.help.endswith(".")
-    assert not re.search(r"\((a|an) \w+\)|unless told", setting.help)
-    if kind is float and setting.metavar == "METERS":
-        assert "meters" in setting.help
+    kind, known = SETTINGS[name]
+    assert known.help[0].isupper()
+    assert known.help.endswith(".")
+    assert not re.search(r"\((a|an) \w+\)|unless told", known.help)
+    if kind is float and known.metavar == "METERS":
+        assert "meters" in known.help
     if getattr(PairSettings(), name) is None:
-        assert "by default" in setting.help
-    if setting.change is not None:
+        assert "by default" in known.help
+    if known.change is not None:
         value = True if kind is bool else kind(CELLS[kind])
-        assert setting.change(PAPER, value) != PAPER
+        assert known.change(PAPER, value) != PAPER
+
+
+def _with_ratio(options, value):
+    return replace(options, ratio=value)
 
 
 def test_one_more_field_is_one_more_option_column_and_key():
     @dataclass(frozen=True, kw_only=True)
     class More(Settings):
-        ratio: Annotated[
-            float | None,
-            Setting(
-                help="Distance ratio of a match, no unit; by default none.",
-                panel="Search",
-                change=lambda options, value: replace(options, ratio=value),
-            ),
-        ] = None
-        color: Annotated[str, Setting(help="Color.", panel="Search", choices=("red", "blue"))] = "red"
+        ratio: float | None = setting(
+            None, "Search", "Distance ratio of a match, no unit; by default none.", change=_with_ratio
+        )
+        color: str = setting("red", "Search", "Color.", choices=("red", "blue"))
 
     given = []
 

@@ -5,14 +5,14 @@ and part of what its folder remembers; those of ``Settings`` are options of ``to
 choices, bounds and help texts all follow from the field and its ``Setting``, so to add a setting is to add a field.
 """
 
-# Without annotations from __future__: those of the fields are values, which ``declared`` reads.
+from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from types import NoneType
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
+from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 from torchreg.errors import at_least, expect, one_of
 from torchreg.io.placement import viewpoint_of_text
@@ -26,6 +26,7 @@ PRESETS: dict[str, RegistrationOptions | None] = {"default": None, "paper": PAPE
 
 Change = Callable[[RegistrationOptions, Any], RegistrationOptions]
 _Settings = TypeVar("_Settings", bound="StageSettings")
+_RANSAC = RansacOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,16 +52,21 @@ class Setting:
     of_ransac: bool = False
 
 
+def setting(default: object, panel: str, text: str, **more: Any) -> Any:  # noqa: ANN401
+    """A field of settings with its default; ``more`` are attributes of its ``Setting``."""
+    return field(default=default, metadata={"setting": Setting(help=text, panel=panel, **more)})
+
+
+def _length(change: Change, text: str) -> Any:  # noqa: ANN401
+    return setting(None, "Lengths", text, metavar="METERS", change=change)
+
+
 def _field(name: str) -> Change:
     return lambda options, value: replace(options, **{name: value})
 
 
 def _ransac_field(name: str) -> Change:
     return lambda options, value: replace(options, ransac=replace(options.ransac, **{name: value}))
-
-
-def _length(text: str, change: Change) -> Setting:
-    return Setting(help=text, panel="Lengths", metavar="METERS", change=change)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,128 +78,97 @@ class StageSettings:
             ``RegistrationOptions`` that it changes.
     """
 
-    points: Annotated[
-        int | None,
-        Setting(
-            help="Keep this many points of each cloud, chosen at random before anything else; by default all of them.",
-            panel="Input",
-            metavar="COUNT",
-            least=1,
-        ),
-    ] = None
-    viewpoint: Annotated[
-        str,
-        Setting(
-            help="Position of the scanner, towards which normals are turned. auto: as the file says, else the zero of "
-            "its frame. origin: that zero. none: not known. X,Y,Z: a position in meters in the frame of both files.",
-            panel="Input",
-            metavar="auto|origin|none|X,Y,Z",
-        ),
-    ] = "auto"
-    preset: Annotated[
-        str,
-        Setting(
-            help="Options to start from. default: every length follows from the spacing of the points. paper: the "
-            "lengths of the paper in meters, for scans of buildings, with FPFH and PCFH of equalized hue.",
-            panel="Lengths",
-            choices=tuple(PRESETS),
-        ),
-    ] = "default"
-    voxel: Annotated[
-        float | None,
-        _length(
-            "Edge in meters of the voxels over which points are averaged first; by default only clouds of more than "
-            f"{MAX_POINTS:,} points or of unequal density are averaged.",
-            _field("voxel_size"),
-        ),
-    ] = None
-    normal_radius: Annotated[
-        float | None,
-        _length(
-            "Support radius of a normal, in meters; by default twice the spacing of the points.",
-            _field("normal_radius"),
-        ),
-    ] = None
-    feature_radius: Annotated[
-        float | None,
-        _length(
-            "Support radius of FPFH, in meters; by default 5 times the spacing of the points.",
-            _field("feature_radius"),
-        ),
-    ] = None
-    color_radius: Annotated[
-        float | None,
-        _length(
-            "Support radius of the color features, in meters; by default 5 times the spacing of the points.",
-            _field("color_radius"),
-        ),
-    ] = None
-    inlier_threshold: Annotated[
-        float | None,
-        _length(
-            "Distance in meters beyond which a match counts as an outlier of a transform; by default 1.5 times the "
-            "spacing of the points.",
-            _ransac_field("inlier_threshold"),
-        ),
-    ] = None
-    hypotheses: Annotated[
-        int | None,
-        Setting(
-            help="Largest number of minimal samples that RANSAC draws, where it runs; by default "
-            f"{RansacOptions().hypotheses:,}.",
-            panel="Search",
-            metavar="COUNT",
-            change=_ransac_field("hypotheses"),
-            of_ransac=True,
-        ),
-    ] = None
-    confidence: Annotated[
-        float | None,
-        Setting(
-            help="Probability, above 0 up to 1, of having drawn a better sample, at which RANSAC stops drawing, where "
-            f"it runs; 1 draws all; by default {RansacOptions().confidence:g}.",
-            panel="Search",
-            metavar="PROBABILITY",
-            change=_ransac_field("confidence"),
-            of_ransac=True,
-        ),
-    ] = None
-    no_color: Annotated[
-        bool,
-        Setting(
-            help="Leave color out of the features: register by geometry alone.",
-            panel="Search",
-            change=lambda options, _: replace(options, color=(), color_weights=()),
-        ),
-    ] = False
-    seed: Annotated[
-        int,
-        Setting(
-            help="Seed of every random draw, a whole number: the same seed gives the same result.",
-            panel="Run",
-            metavar="NUMBER",
-            least=0,
-        ),
-    ] = 0
+    points: int | None = setting(
+        None,
+        "Input",
+        "Keep this many points of each cloud, chosen at random before anything else; by default all of them.",
+        metavar="COUNT",
+        least=1,
+    )
+    viewpoint: str = setting(
+        "auto",
+        "Input",
+        "Position of the scanner, towards which normals are turned. auto: as the file says, else the zero of its "
+        "frame. origin: that zero. none: not known. X,Y,Z: a position in meters in the frame of both files.",
+        metavar="auto|origin|none|X,Y,Z",
+    )
+    preset: str = setting(
+        "default",
+        "Lengths",
+        "Options to start from. default: every length follows from the spacing of the points. paper: the lengths of "
+        "the paper in meters, for scans of buildings, with FPFH and PCFH of equalized hue.",
+        choices=tuple(PRESETS),
+    )
+    voxel: float | None = _length(
+        _field("voxel_size"),
+        "Edge in meters of the voxels over which points are averaged first; by default only clouds of more than "
+        f"{MAX_POINTS:,} points or of unequal density are averaged.",
+    )
+    normal_radius: float | None = _length(
+        _field("normal_radius"), "Support radius of a normal, in meters; by default twice the spacing of the points."
+    )
+    feature_radius: float | None = _length(
+        _field("feature_radius"), "Support radius of FPFH, in meters; by default 5 times the spacing of the points."
+    )
+    color_radius: float | None = _length(
+        _field("color_radius"),
+        "Support radius of the color features, in meters; by default 5 times the spacing of the points.",
+    )
+    inlier_threshold: float | None = _length(
+        _ransac_field("inlier_threshold"),
+        "Distance in meters beyond which a match counts as an outlier of a transform; by default 1.5 times the spacing "
+        "of the points.",
+    )
+    hypotheses: int | None = setting(
+        None,
+        "Search",
+        f"Largest number of minimal samples that RANSAC draws, where it runs; by default {_RANSAC.hypotheses:,}.",
+        metavar="COUNT",
+        change=_ransac_field("hypotheses"),
+        of_ransac=True,
+    )
+    confidence: float | None = setting(
+        None,
+        "Search",
+        "Probability, above 0 up to 1, of having drawn a better sample, at which RANSAC stops drawing, where it runs; "
+        f"1 draws all; by default {_RANSAC.confidence:g}.",
+        metavar="PROBABILITY",
+        change=_ransac_field("confidence"),
+        of_ransac=True,
+    )
+    no_color: bool = setting(
+        False,
+        "Search",
+        "Leave color out of the features: register by geometry alone.",
+        change=lambda options, _: replace(options, color=(), color_weights=()),
+    )
+    seed: int = setting(
+        0,
+        "Run",
+        "Seed of every random draw, a whole number: the same seed gives the same result.",
+        metavar="NUMBER",
+        least=0,
+    )
 
     def __post_init__(self) -> None:
-        for name, (_, setting) in declared(type(self)).items():
-            value = getattr(self, name)
-            if value is None:
-                continue
-            if setting.choices:
-                one_of(value, name, setting.choices)
-            if setting.least is not None:
-                at_least(value, name, setting.least)
+        for name, value, known in self._given():
+            if known.choices:
+                one_of(value, name, known.choices)
+            if known.least is not None:
+                at_least(value, name, known.least)
         viewpoint_of_text(self.viewpoint)
         self.over(PAPER)
 
+    def _given(self) -> list[tuple[str, Any, Setting]]:
+        """Name, value and declaration of everything that is set."""
+        values = ((name, getattr(self, name), known) for name, (_, known) in declared(type(self)).items())
+        return [one for one in values if one[1] is not None and one[1] is not False]
+
     def over(self, options: RegistrationOptions) -> RegistrationOptions:
         """The options with everything that is set in its place; effort and solver are for ``register`` to change."""
-        for name, (_, setting) in declared(type(self)).items():
-            value = getattr(self, name)
-            if setting.change is not None and value is not None and value is not False:
-                options = setting.change(options, value)
+        for _, value, known in self._given():
+            if known.change is not None:
+                options = known.change(options, value)
         return options
 
     def flat(self) -> dict[str, Any]:
@@ -232,32 +207,27 @@ class Settings(StageSettings):
         ValueError: a value that cannot be meant, or one that only RANSAC reads where it is not among the solvers.
     """
 
-    effort: Annotated[
-        str | None,
-        Setting(
-            help="Work spent per pair; by default balanced, and plain with the preset paper. plain: one set of "
-            "features and one solver, as in the paper. With the others, candidate poses compete on the clouds "
-            "themselves, from one set of features (fast), two (balanced), or all sets and both solvers (thorough).",
-            panel="Search",
-            choices=EFFORTS,
-        ),
-    ] = None
-    solver: Annotated[
-        str | None,
-        Setting(
-            help="What turns matches into poses; by default compatibility, and ransac with the preset paper.",
-            panel="Search",
-            choices=SOLVERS,
-        ),
-    ] = None
+    effort: str | None = setting(
+        None,
+        "Search",
+        "Work spent per pair; by default balanced, and plain with the preset paper. plain: one set of features and one "
+        "solver, as in the paper. With the others, candidate poses compete on the clouds themselves, from one set of "
+        "features (fast), two (balanced), or all sets and both solvers (thorough).",
+        choices=EFFORTS,
+    )
+    solver: str | None = setting(
+        None,
+        "Search",
+        "What turns matches into poses; by default compatibility, and ransac with the preset paper.",
+        choices=SOLVERS,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         start = PRESETS[self.preset] or scaled_options(1.0)
         effort, solver = self.effort or start.effort, self.solver or start.solver
-        read = solver == "ransac" or effort == "thorough"
-        for name, (_, setting) in declared(type(self)).items():
-            idle = setting.of_ransac and getattr(self, name) is not None and not read
+        for name, _, known in self._given():
+            idle = known.of_ransac and solver != "ransac" and effort != "thorough"
             expect(not idle, name, "the solver ransac or the effort thorough beside it", f"{solver}, {effort}")
 
 
@@ -265,15 +235,13 @@ class Settings(StageSettings):
 class PairSettings(Settings):
     """All that ``torchreg batch`` takes for its pairs. A column of the pairs file changes a setting for its pair."""
 
-    scale: Annotated[
-        str,
-        Setting(
-            help="Clouds whose spacing sets the default lengths of a pair. shared: all that pairs link and that are "
-            "about equally dense, so that each is described once. pair: its two clouds alone, as torchreg register.",
-            panel="Lengths",
-            choices=("shared", "pair"),
-        ),
-    ] = "shared"
+    scale: str = setting(
+        "shared",
+        "Lengths",
+        "Clouds whose spacing sets the default lengths of a pair. shared: all that pairs link and that are about "
+        "equally dense, so that each is described once. pair: its two clouds alone, as torchreg register.",
+        choices=("shared", "pair"),
+    )
 
 
 class Declared(NamedTuple):
@@ -290,14 +258,12 @@ def declared(group: type) -> dict[str, Declared]:
 
 @cache
 def _declared(group: type) -> dict[str, Declared]:
-    hints = get_type_hints(group, include_extras=True)
+    hints = get_type_hints(group)
     known = {}
     for one in fields(group):
-        kinds, *notes = get_args(hints[one.name]) or (None,)
-        for setting in notes:
-            if isinstance(setting, Setting):
-                (kind,) = (kind for kind in get_args(kinds) or (kinds,) if kind is not NoneType)
-                known[one.name] = Declared(kind, setting)
+        if "setting" in one.metadata:
+            (kind,) = (kind for kind in get_args(hints[one.name]) or (hints[one.name],) if kind is not NoneType)
+            known[one.name] = Declared(kind, one.metadata["setting"])
     return known
 
 
@@ -309,10 +275,9 @@ def _value(kind: type, text: str, where: str) -> Any:  # noqa: ANN401
     """
     words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}[kind]
     try:
-        return _switch(text) if kind is bool else kind(text)
+        return _SWITCH[text.lower()] if kind is bool else kind(text)
     except (ValueError, KeyError):
         raise ValueError(f"{where}: expected {words}, got {text!r}") from None
 
 
-def _switch(text: str) -> bool:
-    return {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}[text.lower()]
+_SWITCH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}

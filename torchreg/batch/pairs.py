@@ -48,7 +48,7 @@ class Pair:
 
     @property
     def file_name(self) -> str:
-        """A name for the pair's own file, different for every pair of the batch."""
+        """A name for the file of the pair, different for every pair of the batch."""
         plain = re.sub(r"[^A-Za-z0-9_.+-]", "_", self.name)[:_LONGEST].lstrip(".")
         if plain == self.name and not re.search(r"-[0-9a-f]{8}$", plain):  # as the other names end
             return plain

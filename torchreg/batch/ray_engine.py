@@ -78,7 +78,7 @@ class RayEngine:
                 ready, _ = self._ray.wait(list(handed), num_returns=1)
                 for task in ready:
                     yield handed.pop(task), self._value(task)
-        finally:  # whoever stops asking leaves nothing running
+        finally:  # nothing runs on when the caller stops asking
             for task in handed:
                 self._ray.cancel(task, force=True)
 

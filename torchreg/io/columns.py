@@ -1,6 +1,6 @@
 """Points as rows of named numbers, as PLY and PCD store them: packed binary records or one line of text each.
 
-Every size is checked against the file before anything is allocated: a header may say what it likes.
+Every size is checked against the file before anything is allocated: a header may claim anything.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torchreg.io.checks import refuse, require
 COORDINATES = ("x", "y", "z")
 NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-PACKED_COLORS = ("rgb", "rgba")  # one word 0x_RRGGBB, of PCD; often said to be a float
+PACKED_COLORS = ("rgb", "rgba")  # one word 0x_RRGGBB, of PCD; often declared as a float
 
 
 @dataclass(frozen=True)

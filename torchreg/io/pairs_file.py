@@ -175,7 +175,7 @@ def _read_table(path: str | os.PathLike[str], needed: tuple[str, ...]) -> tuple[
         if not _counts(line):
             continue
         where = f"{file}, line {number}"
-        # The reader takes further lines only where a quoted cell goes on in them.
+        # The reader takes further lines only where a quoted cell continues in them.
         reader = csv.reader(chain([line], (more for _, more in lines)), delimiter=mark, strict=True)
         try:
             cells = next(reader)

@@ -48,7 +48,7 @@ class _Header:
 
 
 def read_ply(path: Path) -> Iterator[RawCloud]:
-    """Read the element "vertex" of a PLY file; elements before it are skipped, those after it not looked at.
+    """Read the element "vertex" of a PLY file; elements before it are skipped, those after it ignored.
 
     Raises:
         CloudFileError: not a PLY file, a header that is wrong or that promises more than the file holds,
