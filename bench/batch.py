@@ -30,7 +30,6 @@ from readme import put_into_readme
 from torch import Tensor
 
 import torchreg as tr
-from torchreg.registration.overrides import OptionOverrides
 
 MIXED, SMALL, SMALL_POINTS, MALLS = 64, 256, 1000, 16
 SIZES = (200, 20_000)
@@ -110,9 +109,7 @@ def mixed(repeats: int) -> tuple[dict[str, Any], str]:
     tr.register(source.select(few), target.select(few))
     tr.reference.open3d.register(source.select(few), target.select(few), [plain[0.999][b] for b in few])
     shared = "FPFH, RANSAC, 600,000 hypotheses"
-    same = tr.batch.PairSettings(
-        scale="pair", effort="plain", solver="ransac", overrides=OptionOverrides(no_color=True, confidence=0.999)
-    )
+    same = tr.batch.PairSettings(scale="pair", effort="plain", solver="ransac", no_color=True, confidence=0.999)
     with tempfile.TemporaryDirectory() as folder:
         files = Files(Path(folder), pairs, truths)
         files.run(same, few)  # starts the server of processes

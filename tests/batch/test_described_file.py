@@ -31,7 +31,7 @@ def test_what_is_written_comes_back(tmp_path, colored, dtype):
 
 def test_a_cloud_that_cannot_be_registered_keeps_its_reason(tmp_path):
     write_described(tmp_path / "one.pt", describe_clouds(tr.Clouds(points=torch.ones(9, 3)), OPTIONS))
-    assert "coincide" in read_described(tmp_path / "one.pt").facts[0].defect
+    assert "coincide" in read_described(tmp_path / "one.pt").facts[0].defect.text
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip file", None])

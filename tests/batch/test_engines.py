@@ -9,7 +9,7 @@ import pytest
 from projects import finish, lines_of, start
 
 from torchreg.batch import Bounds, PairSettings, Store, pairs_of_file, run
-from torchreg.batch.jobs import Job
+from torchreg.batch.engine import Job
 from torchreg.batch.local_engine import LocalEngine
 
 BOUNDS = Bounds(15.0, None)

@@ -73,7 +73,7 @@ def test_a_batch_killed_again_and_again_ends_as_an_unbroken_one(tmp_path, clouds
     assert_equal_batches(broken, whole, pairs)
 
 
-def test_an_interrupt_ends_a_batch_cleanly_and_the_same_command_goes_on(tmp_path, project):
+def test_an_interrupt_ends_a_batch_cleanly_and_the_same_command_resumes(tmp_path, project):
     out = tmp_path / "out"
     process = start(project.table, "--out", out, "--workers", 1)
     while finished_pairs(out) < 1 and process.poll() is None:
@@ -82,7 +82,7 @@ def test_an_interrupt_ends_a_batch_cleanly_and_the_same_command_goes_on(tmp_path
     ended = finish(process)
     if ended.code != 0:  # it may have been done by then
         assert ended.code == 130
-        assert "the same command goes on from there" in ended.stderr
+        assert "the same command resumes from there" in ended.stderr
         assert "Traceback" not in ended.stderr
     assert finish(start(project.table, "--out", out)).code == 0
     assert len(lines_of(out)) == 6

@@ -7,7 +7,7 @@ import torch
 from problems import room_pair
 
 import torchreg as tr
-from torchreg.batch.clouds import look_at
+from torchreg.batch.clouds import measure
 from torchreg.batch.scales import Scale, shared_scales
 from torchreg.registration.spacing import UNEVEN
 
@@ -46,10 +46,10 @@ def test_clouds_of_one_partner_at_most_keep_their_own():
     "points", [torch.zeros(0, 3), torch.full((9, 3), float("nan")), torch.ones(9, 3), torch.full((9, 3), 1e20)]
 )
 @pytest.mark.parametrize("voxel", [None, 0.1, 1e-9])
-def test_a_cloud_that_will_be_refused_can_be_looked_at(points, voxel):
-    look = look_at(tr.Clouds(points=points), voxel, scaled=True)
-    assert (look.points, look.spacing) == (len(points), 0.0)
+def test_a_cloud_that_will_be_refused_can_be_measured(points, voxel):
+    measures = measure(tr.Clouds(points=points), voxel, scaled=True)
+    assert (measures.points, measures.spacing) == (len(points), 0.0)
 
 
-def test_a_voxel_that_is_too_small_is_no_error_of_the_look():
-    assert look_at(room_pair(300).source, 1e-9, scaled=True).spacing == 0.0
+def test_a_voxel_that_is_too_small_is_no_error_of_measuring():
+    assert measure(room_pair(300).source, 1e-9, scaled=True).spacing == 0.0

@@ -126,7 +126,10 @@ BAD_WORDS = {
     "effort": (["register", "a.ply", "b.ply", "--effort", "heroic"], "thorough"),
     "solver": (["register", "a.ply", "b.ply", "--solver", "magic"], "compatibility"),
     "picture twice": (["register", "a.ply", "b.ply", "--figure", "p.png", "--matches", "p.png"], "--matches"),
-    "check radius": (["check", "a.ply", "b.ply", "--feature-radius", "-1"], "feature_radius"),
+    "check radius": (
+        ["check", "a.ply", "b.ply", "--feature-radius", "-1"],
+        "--feature-radius: expected a finite number above 0, got -1.0",
+    ),
     "aligned": (["register", "a.ply", "b.ply", "--aligned", "a.las"], "--aligned"),
     "no folder": (["register", "a.ply", "b.ply", "--json", "no/such/folder/r.json"], "--json"),
     "over an input": (["register", "a.ply", "b.ply", "--aligned", "./a.ply"], "--aligned"),

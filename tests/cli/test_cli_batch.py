@@ -4,8 +4,6 @@ import errno
 import json
 import os
 import sqlite3
-import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import pyarrow.parquet
@@ -16,8 +14,10 @@ from problems import room_pair
 from projects import lines_of, make_project, write_table
 
 import torchreg as tr
+from torchreg.batch import runner as runner_module
 from torchreg.batch import store as store_module
 from torchreg.io import read_transform_text
+from torchreg.io.result_json import plain_data
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +60,7 @@ def test_a_table_of_pairs_with_a_truth_is_registered_and_summarized(batch, room,
     assert (right["success"], right["state"], right["found"], right["floor"]) == ("true", "registered", "true", "2")
     assert float(right["rre_degrees"]) < 2
     assert (swapped["success"], swapped["found"]) == ("true", "false")
+    assert right["failure"] == ""
     assert strangers["found"] == ""
     T = torch.tensor([float(number) for number in right["T_target_source"].split()], dtype=torch.float64)
     record = json.loads((out / "pairs" / "right.json").read_text())
@@ -68,7 +69,17 @@ def test_a_table_of_pairs_with_a_truth_is_registered_and_summarized(batch, room,
     assert (summary["pairs"], summary["with_truth"], summary["recalled"], summary["wrong_registered"]) == (3, 2, 1, 1)
     assert summary["worst"][0][0] == "swapped"
     assert "1 of 2 (50 %)" in result.stdout
-    assert set(summary["seconds"]) >= {"looking at clouds", "describing clouds", "matching", "hypotheses", "decision"}
+    assert set(summary["seconds"]) >= {"measuring clouds", "describing clouds", "matching", "hypotheses", "decision"}
+
+
+def test_a_row_has_the_kind_of_its_failure(batch, room, tmp_path):
+    tr.write_cloud(tmp_path / "line.ply", tr.Clouds(torch.linspace(0, 5, 200)[:, None] * torch.tensor([1.0, 2.0, 0.5])))
+    assert batch(write_table(tmp_path / "p.csv", [{"source": "line.ply", "target": room.target}])).exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    (file,) = (tmp_path / "out" / "pairs").iterdir()
+    record = json.loads(file.read_text())
+    assert (line["state"], line["failure"]) == ("refused", "degenerate")
+    assert (record["failure"]["kind"], record["reason"]) == ("degenerate", line["reason"])
 
 
 def test_the_tables_agree(batch, project, tmp_path):
@@ -104,7 +115,7 @@ def test_the_lengths_of_a_pair_alone_are_those_that_register_derives(batch, tmp_
     record = json.loads((tmp_path / "out" / "pairs" / "a__b.json").read_text())
     read = [tr.read_cloud(tmp_path / f"{name}.ply") for name in "ab"]
     alone = tr.register(*read, effort="fast")
-    assert record["options"] == json.loads(json.dumps(asdict(alone.options[0])))
+    assert record["options"] == plain_data(alone.options[0])
     assert record["T_target_source"] == alone.T_target_source[0].tolist()
 
 
@@ -145,6 +156,7 @@ def test_recall_counts_the_pairs_that_could_not_be_read(batch, room, tmp_path):
 
 def test_a_cloud_that_spoils_a_slice_fails_its_own_pairs_alone(batch, project, tmp_path, monkeypatch):
     from torchreg.batch import jobs
+    from torchreg.batch.engine import Job
 
     whole = jobs._register
     calls = []
@@ -155,7 +167,7 @@ def test_a_cloud_that_spoils_a_slice_fails_its_own_pairs_alone(batch, project, t
             raise RuntimeError("spoiled")
         return whole(item, loaded, device)
 
-    monkeypatch.setattr(sys.modules["torchreg.batch.run"], "REGISTER", jobs.Job(jobs._load_slice, spoiled))
+    monkeypatch.setattr(runner_module, "REGISTER", Job(jobs._load_slice, spoiled))
     monkeypatch.setattr("torchreg.batch.plan._ROUNDS", 1)
     assert batch(project.table).exit_code == 3
     assert calls == [3, 1, 1, 1]
@@ -402,7 +414,7 @@ def test_a_disk_that_is_full_for_descriptions_ends_the_run(batch, project, tmp_p
     monkeypatch.setattr("torchreg.batch.jobs.write_described", full)
     stopped = batch(project.table)
     assert stopped.exit_code == 2
-    assert "the same command goes on from there" in stopped.stderr
+    assert "the same command resumes from there" in stopped.stderr
     assert rows_of_database(tmp_path / "out") == []
 
 
@@ -423,6 +435,7 @@ def test_a_folder_in_use_is_refused(batch, project, tmp_path):
         ("source,target,voxle\na.ply,b.ply,1\n", "voxle"),
         ("source,target,effort\na.ply,b.ply,huge\n", "effort"),
         ("source,target,inlier_threshold\na.ply,b.ply,-1\n", "inlier_threshold"),
+        ("source,target,hypotheses\na.ply,b.ply,900\n", "line 2: hypotheses: expected the solver ransac"),
         ("source,target,truth\na.ply,b.ply,1 2 3\n", "truth"),
         ("source,target\n", "at least one pair"),
         ("", "empty"),

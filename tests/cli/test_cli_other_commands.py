@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from typing import get_args, get_type_hints
 
 import pytest
 import torch
@@ -73,17 +74,28 @@ def test_demo(run, tmp_path):
     assert found["T_target_source"] == first["T_target_source"]
 
 
-def test_every_option_names_its_unit():
-    units = r"meters|degrees|seconds|bytes|count|no unit|switch|name|\(a (text|path)\b"
-    known = re.compile(rf"{units}|default: every|\.txt|PLY|JSON")
-    for name, command in commands().items():
-        for parameter in command.params:
-            help_text = getattr(parameter, "help", None)
-            assert help_text, (name, parameter.name)
-            if parameter.name != "help":
-                assert known.search(help_text), (name, parameter.name, help_text)
-            if parameter.metavar == "METERS":
-                assert "meters" in help_text
+RIDDLES = re.compile(r"\(an? (switch|name|text|path|count|number)\b|no unit|unless told|goes? on")
+UNITS = {
+    **{"METERS": "meters", "DEGREES": "degrees", "BYTES": "bytes", "PROBABILITY": "Probability"},
+    **{"COUNT": "", "COUNT,COUNT": "", "NUMBER": "whole number", "1..5": "from 1 to 5"},
+}
+
+
+@pytest.mark.parametrize("name", [*commands(), *(f"bench {name}" for name in commands()["bench"].commands)])
+def test_every_help_text_is_a_sentence_with_unit_and_default(name):
+    group, _, one = name.rpartition(" ")
+    command = (commands()[group].commands if group else commands())[one]
+    kinds = get_type_hints(command.callback)
+    for parameter in command.params:
+        text = parameter.help
+        assert text, (name, parameter.name)
+        assert text[0].isupper(), (name, text)
+        assert text.endswith("."), (name, text)
+        assert not RIDDLES.search(text), (name, text)
+        kind = kinds.get(parameter.name)
+        if {int, float} & {kind, *get_args(kind)}:
+            assert UNITS[parameter.metavar] in text, (name, text)
+            assert parameter.default is not None or parameter.required or "by default" in text, (name, text)
 
 
 @pytest.mark.parametrize("command", [[], ["register"], ["check"], ["info"], ["demo"]])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchreg.io.color_scale import scale_colors
+from torchreg.io.assemble import scale_colors
 
 
 def one(*values, dtype):

@@ -1,9 +1,12 @@
 """Results as JSON, and the quaternion in them."""
 
 import json
+import math
 import os
 import platform
 import socket
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -14,8 +17,9 @@ from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, turn, ve
 
 from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io import read_transform_text, result_to_dict, write_result_json
+from torchreg.io.result_json import plain_data
 from torchreg.registration.options import RegistrationOptions
-from torchreg.types import Correspondences, HypothesisCounts, RegistrationResult
+from torchreg.types import Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -60,16 +64,18 @@ def a_result(seed=0, rmse=0.01):
     q = rng.normal(size=4)
     T[0, :3, :3] = torch.from_numpy(matrix_of(*(q / np.linalg.norm(q))))
     T[0, :3, 3] = torch.from_numpy(rng.normal(size=3) * 1e6)
-    ones = torch.arange(5)
+    rows, clouds = torch.arange(5), Clouds(torch.zeros(5, 3), offsets=torch.tensor([0, 3, 5]))
     return RegistrationResult(
         T_target_source=T,
         inliers=torch.tensor([True, False, True, False, True]),
         fitness=torch.tensor([0.75, 0.0], dtype=torch.float64),
         inlier_rmse=torch.tensor([rmse, float("nan")], dtype=torch.float64),
         success=torch.tensor([True, False]),
-        reason=("", "too few matches"),
+        failure=(None, Failure("too few matches", "too few matches: 2, 3 are needed", {"matches": 2, "needed": 3})),
         hypotheses=HypothesisCounts(*(torch.tensor([n, 0]) for n in (600, 50, 7))),
-        correspondences=Correspondences(ones, ones, torch.tensor([0, 3, 5]), torch.rand(5)),
+        source=clouds,
+        target=clouds,
+        correspondences=Correspondences(rows, rows, clouds.offsets, torch.rand(5)),
         options=(RegistrationOptions(), RegistrationOptions()),
         notes=(("no colors",), ()),
         seconds=(("normals", 0.5), ("ransac", float("inf"))),
@@ -102,7 +108,7 @@ def test_fields():
         "hypotheses_kept": 50,
         "hypotheses_scored": 7,
     }
-    assert (found["success"], found["reason"], found["notes"]) == (True, "", ["no colors"])
+    assert (found["success"], found["reason"], found["failure"], found["notes"]) == (True, "", None, ["no colors"])
     assert (found["seed"], found["source"], found["target"]) == (7, "a.ply", "b.ply")
     assert (found["fitness"], found["inlier_rmse"]) == (0.75, 0.01)
     assert found["options"]["ransac"]["hypotheses"] == 600_000
@@ -116,7 +122,8 @@ def test_fields():
 
 def test_a_failed_pair(tmp_path):
     found = result_to_dict(a_result(), 1, **NAMES)
-    assert (found["success"], found["reason"], found["notes"]) == (False, "too few matches", [])
+    assert (found["success"], found["reason"], found["notes"]) == (False, "too few matches: 2, 3 are needed", [])
+    assert found["failure"] == {"kind": "too few matches", "figures": {"matches": 2, "needed": 3}}
     assert found["inlier_rmse"] is None
     assert (found["counts"]["correspondences"], found["counts"]["inliers"]) == (2, 1)
     assert found["quaternion"] == {"w": 1, "x": 0, "y": 0, "z": 0}
@@ -126,8 +133,18 @@ def test_a_failed_pair(tmp_path):
 
 
 KEYS = [
-    *("source", "target", "success", "reason", "notes", "T_target_source", "quaternion", "translation", "fitness"),
-    *("inlier_rmse", "probability", "overlap", "strength", "information", "runner_up", "margin", "candidates"),
+    *("source", "target", "success", "reason", "failure", "notes", "T_target_source", "quaternion", "translation"),
+    *(
+        "fitness",
+        "inlier_rmse",
+        "probability",
+        "overlap",
+        "strength",
+        "information",
+        "runner_up",
+        "margin",
+        "candidates",
+    ),
     *("stages", "counts", "seed", "options", "seconds", "versions"),
 ]
 
@@ -169,6 +186,29 @@ def test_numbers_that_are_not_there_are_none():
 def test_every_key_is_documented():
     for key in KEYS:
         assert f"``{key}``" in result_to_dict.__doc__
+
+
+@dataclass(frozen=True)
+class Inner:
+    size: float = math.inf
+
+
+@dataclass(frozen=True)
+class Named:
+    name: ClassVar[str] = "named"
+    inner: Inner = Inner()
+    shape: tuple[int, ...] = (1, 2)
+
+
+def test_records_become_plain_under_their_name():
+    """Options may hold records, whatever they are: nested, several, with a class's name."""
+    content = plain_data({"records": (Named(), Inner(2.0)), "tensor": torch.tensor([1.5, math.nan]), "text": "a"})
+    assert content == {
+        "records": [{"name": "named", "inner": {"size": None}, "shape": [1, 2]}, {"size": 2.0}],
+        "tensor": [1.5, None],
+        "text": "a",
+    }
+    assert plain_data(RegistrationOptions()) == json.loads(json.dumps(plain_data(RegistrationOptions())))
 
 
 def test_refused(tmp_path):

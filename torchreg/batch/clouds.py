@@ -1,4 +1,4 @@
-"""A cloud of a batch: where it is, how it is read, and what a first look at it shows."""
+"""A cloud of a batch: where it is, how it is read, and its measures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchreg.batch.pairs import Pair
 from torchreg.io import read_cloud
-from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.io.placement import viewpoint_of_text
 from torchreg.preprocess import random_downsample
 from torchreg.registration.inspect import facts_of, too_wide
 from torchreg.registration.spacing import MAX_POINTS, CloudScale
@@ -33,14 +33,14 @@ class CloudSource(NamedTuple):
     seed: int
 
 
-class Look(NamedTuple):
-    """What a first look at a cloud shows.
+class CloudMeasures(NamedTuple):
+    """What is known of a cloud before it is described.
 
     Attributes:
-        digest: of all that the cloud holds; equal clouds have equal ones.
+        digest: of all that the cloud holds; equal clouds have equal digests.
         points: how many.
         colored: whether it has colors.
-        voxel: meters; the voxel edge that its own number of points asks for, or that was given; 0 for none.
+        voxel: meters; the voxel edge that its number of points asks for, or that was given; 0 for none.
         spacing: meters, of the points after that; 0 where it was not asked for.
     """
 
@@ -53,10 +53,10 @@ class Look(NamedTuple):
 
 def sources_of(pair: Pair) -> tuple[CloudSource, CloudSource]:
     """Source and target of a pair."""
-    chosen = pair.settings
-    seed = chosen.seed if chosen.points is not None else 0
-    one, other = (CloudSource(path, chosen.viewpoint, chosen.points, seed) for path in (pair.source, pair.target))
-    return one, other
+    given = pair.settings
+    seed = given.seed if given.points is not None else 0
+    source, target = (CloudSource(path, given.viewpoint, given.points, seed) for path in (pair.source, pair.target))
+    return source, target
 
 
 def read_source(source: CloudSource) -> Clouds:
@@ -68,17 +68,17 @@ def read_source(source: CloudSource) -> Clouds:
     cloud = read_cloud(source.path, viewpoint=viewpoint_of_text(source.viewpoint))
     if source.points is None:
         return cloud
-    # a cloud is chosen from once for all its pairs, and from a copy that was moved other points are chosen
-    own = int(digest_of(cloud)[:12], 16) ^ source.seed
-    return random_downsample(cloud, source.points, generator=torch.Generator().manual_seed(own))
+    # points are chosen once for all pairs of a cloud; from a copy of it that was moved, others are chosen
+    seed = int(digest_of(cloud)[:12], 16) ^ source.seed
+    return random_downsample(cloud, source.points, generator=torch.Generator().manual_seed(seed))
 
 
-def look_at(cloud: Clouds, voxel: float | None, *, scaled: bool) -> Look:
-    """Look at a cloud.
+def measure(cloud: Clouds, voxel: float | None, *, scaled: bool) -> CloudMeasures:
+    """Measure a cloud.
 
     Args:
         cloud: a batch of one.
-        voxel: meters, the voxel edge that was given; ``None`` where its size is to decide.
+        voxel: meters, the voxel edge that was given; ``None`` where its number of points decides.
         scaled: whether the spacing is asked for.
     """
     scale, facts = CloudScale(cloud), facts_of(cloud)[0]
@@ -89,15 +89,15 @@ def look_at(cloud: Clouds, voxel: float | None, *, scaled: bool) -> Look:
     if scaled and voxel is None and scale.points > MAX_POINTS:
         edge = scale.thinning_voxel
     spacing = scale.spacing(edge or None) if scaled else 0.0
-    return Look(digest_of(cloud), scale.points, cloud.colors is not None, edge, spacing)
+    return CloudMeasures(digest_of(cloud), scale.points, cloud.colors is not None, edge, spacing)
 
 
 def digest_of(cloud: Clouds) -> str:
     """Hexadecimal digits that name the content of a cloud: points, colors, normals, origin and viewpoint."""
-    known = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(digest_size=16)
     for part in (cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint):
-        known.update(b"none" if part is None else _bytes(part))
-    return known.hexdigest()
+        digest.update(b"none" if part is None else _bytes(part))
+    return digest.hexdigest()
 
 
 def _bytes(part: Tensor) -> bytes:

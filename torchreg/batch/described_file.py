@@ -5,29 +5,30 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.io.atomic import atomic_write
+from torchreg.io.result_json import plain_data
+from torchreg.registration.describe import Description
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import CloudFacts
-from torchreg.registration.options import RegistrationOptions
 from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
-_FORMAT = 2
-_CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results unseen
+_FORMAT = 3
+_CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results without a trace
 
 
-def described_name(digest: str, options: RegistrationOptions, device: str) -> str:
-    """The file's name for a cloud of this digest and these ``description_options``, described on a device."""
+def described_name(digest: str, description: Description, device: str) -> str:
+    """The file's name for a cloud of this digest, described so on a device."""
     made = {"format": _FORMAT, "device": device, **computing_versions()}
-    said = json.dumps({**made, "cloud": digest, "options": asdict(options)})
-    return f"{hashlib.blake2b(said.encode(), digest_size=16).hexdigest()}.pt"
+    key = json.dumps({**made, "cloud": digest, "description": plain_data(description)})
+    return f"{hashlib.blake2b(key.encode(), digest_size=16).hexdigest()}.pt"
 
 
 def computing_versions() -> dict[str, str]:
@@ -48,30 +49,33 @@ def write_described(path: Path, described: DescribedClouds) -> None:
         "normals": cloud.normals,
         "origin": cloud.origin,
         "viewpoint": cloud.viewpoint,
-        "descriptors": {
-            name: {"values": item.values, "valid": item.valid, "blocks": [list(block) for block in item.blocks]}
-            for name, item in described.descriptors.items()
-        },
+        "features": [
+            {"values": item.values, "valid": item.valid, "blocks": [list(block) for block in item.blocks]}
+            for item in described.features
+        ],
         "spacing": list(described.spacing),
         "facts": [_plain(facts) for facts in described.facts],
     }
-    held = io.BytesIO()
-    torch.save(content, held)
-    with atomic_write(path, durable=False) as file:  # what a power cut damages is told by the checksum
-        file.write(_checksum(held.getvalue()))
-        file.write(held.getvalue())
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    with atomic_write(path, durable=False) as file:  # the checksum shows what a power cut damaged
+        file.write(_checksum(buffer.getvalue()))
+        file.write(buffer.getvalue())
 
 
-def read_described(path: Path) -> DescribedClouds | None:
-    """Read one described cloud; ``None`` where the file is missing or damaged, so that it is to be made again."""
+def read_described(path: Path, descriptors: tuple[Descriptor, ...]) -> DescribedClouds | None:
+    """Read one cloud that these descriptors described.
+
+    ``None`` where the file is missing or damaged, so that it is to be made again.
+    """
     try:
         content = path.read_bytes()
     except OSError:
         return None
-    checksum, held = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-    if _checksum(held) != checksum:
+    checksum, body = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+    if _checksum(body) != checksum:
         return None
-    return _described(torch.load(io.BytesIO(held), map_location="cpu", weights_only=True))
+    return _described(torch.load(io.BytesIO(body), map_location="cpu", weights_only=True), descriptors)
 
 
 def _plain(facts: CloudFacts) -> list[Any]:
@@ -84,19 +88,19 @@ def _checksum(content: bytes) -> bytes:
     return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
 
 
-def _described(content: dict[str, Any]) -> DescribedClouds:
+def _described(content: dict[str, Any], descriptors: tuple[Descriptor, ...]) -> DescribedClouds:
     cloud = Clouds(**{name: content[name] for name in ("points", "colors", "normals", "origin", "viewpoint")})
-    descriptors = {
-        name: Features(
+    features = tuple(
+        Features(
             values=item["values"],
             offsets=cloud.offsets,
             blocks=tuple((str(block), int(size)) for block, size in item["blocks"]),
             valid=item["valid"],
         )
-        for name, item in content["descriptors"].items()
-    }
+        for item in content["features"]
+    )
     facts = []
     for points, extent, failure, colors, faced in content["facts"]:
         defect = None if failure is None else Failure(*failure)
         facts.append(CloudFacts(points, extent, defect, None if colors is None else tuple(colors), faced))
-    return DescribedClouds(cloud, descriptors, tuple(content["spacing"]), tuple(facts))
+    return DescribedClouds(cloud, features, (descriptors,), tuple(content["spacing"]), tuple(facts))

@@ -1,7 +1,7 @@
 """The batch engine of one machine: a ``DataLoader`` whose workers read clouds and, on the CPU, compute too.
 
-Reading overlaps with computing, since each of the workers does now the one and now the other; results come as they
-are ready. For a GPU the workers load and this process computes. Processes rather than threads: on small clouds most of
+Reading overlaps with computing, since the workers are not at the same step at the same time; results come as they are
+ready. For a GPU the workers load and this process computes. Processes rather than threads: on small clouds most of
 the time goes into the interpreter, which threads share (measured on two cores, pairs of 1,000 and of 8,000 points: two
 threads no faster than one, two processes twice as fast).
 """
@@ -23,13 +23,12 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from torchreg.batch.jobs import Job, load_and_compute
-from torchreg.batch.outcome import Outcome, attempt
+from torchreg.batch.engine import Job, Outcome, attempt, load_and_compute
 from torchreg.errors import at_least
 
 _DEATHS = 3  # that one item may cause, alone
 _PAUSE = 0.5  # seconds until a process that was killed is gone, so that another takes its place
-_AHEAD = 2  # items that are at work or handed over, for every worker
+_AHEAD = 2  # items in progress or handed over, for every worker
 _GUARD = 'a script that calls this needs its own part below if __name__ == "__main__"'
 _DIED = "the process that worked on it ended unexpectedly each time, out of memory or killed"
 
@@ -64,7 +63,7 @@ class LocalEngine:
         """As ``Engine``'s."""
         pending, deaths = dict(enumerate(items)), 0  # deaths of the first of them, alone
         lost, done = 0, False
-        suspects: list[int] = []  # what was perhaps at work when a process died: each goes alone, then all together
+        suspects: list[int] = []  # perhaps in progress when a process died: each runs alone, then all together
         while pending:
             places = suspects or list(pending)
             try:
@@ -100,7 +99,7 @@ class LocalEngine:
 
 
 class _Work(Dataset[tuple[int, Outcome]]):
-    """What comes of an item that is handed over in place of its number: workers hold what they are at, not all."""
+    """Items are handed over in place of their numbers, so that workers hold those in progress and not all."""
 
     def __init__(self, do: Any) -> None:  # noqa: ANN401
         self._do = do
@@ -145,7 +144,8 @@ def _begin_worker(threads: int, number: int) -> None:
 def _end_with_parent() -> None:
     """End this worker when the process that began it is gone, however that came about.
 
-    A worker's own watch looks at its parent's number; that of a server of processes stays as long as there are workers.
+    The watch of a ``DataLoader`` worker compares the number of its parent; with a server of processes in between, that
+    number stays as long as there are workers.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -159,7 +159,7 @@ def _context() -> Any:  # noqa: ANN401
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["torchreg.batch.preload"])
-    # An interrupt goes to all processes of a terminal: this one ends the others, which are to keep still.
+    # An interrupt goes to all processes of a terminal: this one ends the others, which ignore it.
     if threading.current_thread() is threading.main_thread():
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import json
 import os
 import re
 from collections.abc import Sequence
@@ -14,9 +15,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchreg.batch.settings import PairSettings
 from torchreg.errors import expect
 from torchreg.io import CLOUD_SUFFIXES, read_pairs_file
+from torchreg.settings import PairSettings
 
 _LONGEST = 120  # characters of a file's name that are taken from a pair's
 
@@ -47,11 +48,23 @@ class Pair:
 
     @property
     def file_name(self) -> str:
-        """A name for the pair's own file, different for every pair of the batch."""
+        """A name for the file of the pair, different for every pair of the batch."""
         plain = re.sub(r"[^A-Za-z0-9_.+-]", "_", self.name)[:_LONGEST].lstrip(".")
-        if plain == self.name and not re.search(r"-[0-9a-f]{8}$", plain):  # which is what others end in
+        if plain == self.name and not re.search(r"-[0-9a-f]{8}$", plain):  # as the other names end
             return plain
         return f"{plain}-{hashlib.blake2b(self.name.encode(), digest_size=4).hexdigest()}"
+
+    @property
+    def text(self) -> str:
+        """All that was written of the pair, as one text that is compared."""
+        written = {
+            "source": self.source_text,
+            "target": self.target_text,
+            **self.settings.flat(),
+            "truth": self.truth,
+            **dict(self.extra),
+        }
+        return json.dumps(written, sort_keys=True)
 
     def transform(self) -> Tensor | None:
         """The true T_target_source (4, 4) float64, where it is known."""
@@ -62,7 +75,7 @@ def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
     """The pairs that a table lists; see ``read_pairs_file`` and ``PairSettings`` for its columns.
 
     Raises:
-        ValueError: the table cannot be read, or a cell means nothing; the message names the line.
+        ValueError: the table cannot be read, or a cell has no meaning; the message names the line.
     """
     return tuple(
         Pair(
@@ -99,14 +112,14 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
     names = _short_names(files)
     return tuple(
         Pair(
-            name=f"{names[one]}__{names[other]}",
-            source=os.path.abspath(one),
-            target=os.path.abspath(other),
-            source_text=one,
-            target_text=other,
+            name=f"{names[source]}__{names[target]}",
+            source=os.path.abspath(source),
+            target=os.path.abspath(target),
+            source_text=source,
+            target_text=target,
             settings=settings,
         )
-        for one, other in combinations(files, 2)
+        for source, target in combinations(files, 2)
     )
 
 

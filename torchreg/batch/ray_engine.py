@@ -11,12 +11,11 @@ import socket
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from torchreg.batch.jobs import Job, load_and_compute
-from torchreg.batch.outcome import Outcome
+from torchreg.batch.engine import Job, Outcome, load_and_compute
 from torchreg.errors import at_least, expect
 
 _RETRIES = 3
-_PATIENCE = 5.0  # seconds
+_ANSWER_SECONDS = 5.0
 _AHEAD = 2  # tasks in the scheduler's hands, for every worker
 
 
@@ -42,7 +41,7 @@ class RayEngine:
             raise ValueError('engine: expected Ray, which pip install "torchreg-pointcloud[ray]" brings') from None
         if address is not None:
             _expect_answer(address)
-        self._ray, self._own_device = ray, device
+        self._ray, self._device = ray, device
         self._started = not ray.is_initialized()
         if self._started:
             started: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
@@ -56,7 +55,7 @@ class RayEngine:
     @property
     def device(self) -> str:
         """Where it computes."""
-        return self._own_device
+        return self._device
 
     @property
     def workers(self) -> int:
@@ -73,13 +72,13 @@ class RayEngine:
                     place = next(waiting, None)
                     if place is None:
                         break
-                    handed[self._task.remote(job, self._own_device, items[place])] = place
+                    handed[self._task.remote(job, self._device, items[place])] = place
                 if not handed:
                     return
                 ready, _ = self._ray.wait(list(handed), num_returns=1)
                 for task in ready:
                     yield handed.pop(task), self._value(task)
-        finally:  # whoever stops asking leaves nothing running
+        finally:  # nothing runs on when the caller stops asking
             for task in handed:
                 self._ray.cancel(task, force=True)
 
@@ -98,7 +97,7 @@ class RayEngine:
 
 
 def _expect_answer(address: str) -> None:
-    """See within seconds whether anything listens at HOST:PORT; Ray itself asks for minutes.
+    """Check within seconds whether anything listens at HOST:PORT; Ray itself asks for minutes.
 
     Raises:
         ValueError: nothing does.
@@ -107,6 +106,6 @@ def _expect_answer(address: str) -> None:
     if not mark or not port.isdigit():  # such as "auto", which Ray looks up
         return
     try:
-        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+        socket.create_connection((host, int(port)), timeout=_ANSWER_SECONDS).close()
     except (OSError, OverflowError) as error:
         raise ValueError(f"address: expected a cluster that answers, got {address!r}: {error}") from None

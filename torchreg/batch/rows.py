@@ -1,37 +1,45 @@
-"""One pair's line in the table of a batch, what it took, and its file."""
+"""The table of a batch: its columns, the row of one pair, and the files that it is written to.
+
+The files have the same bytes whenever the same pairs are registered; times, which no two runs share, are in
+``times.csv`` alone.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
 from torchreg.batch.pairs import Pair
 from torchreg.io import result_to_dict
+from torchreg.io.atomic import atomic_write
 from torchreg.metrics import pose_errors
 from torchreg.types import Clouds, RegistrationResult
 
 REGISTERED, REFUSED, UNREADABLE, BROKEN = "registered", "refused", "unreadable", "error"
-"""States of a pair: found and trusted; not trusted, for a reason; a cloud that cannot be read; a defect of ours."""
+"""States of a pair: a pose that is trusted; none, for a reason; a cloud that cannot be read; a defect of ours."""
 
 RETRIED = (UNREADABLE, BROKEN)
 """States that the next run of the same batch tries again."""
 
 
-class Told(NamedTuple):
-    """What a row says beside the result of the registration.
+class Bounds(NamedTuple):
+    """Errors below which the pose of a pair with a truth counts as found.
 
     Attributes:
-        digests: of both clouds.
-        rotation_bound: degrees; a pair with a truth is found below this error.
-        translation_bound: meters; ``None`` takes four inlier thresholds, six times the spacing of the points.
+        degrees: of the rotation.
+        meters: of the translation; ``None`` takes four inlier thresholds, six times the spacing of the points.
     """
 
-    digests: tuple[str, str]
-    rotation_bound: float
-    translation_bound: float | None
+    degrees: float
+    meters: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +50,8 @@ class Row:
         name: of the pair.
         state: one of the four above.
         table: its line; the same whenever and wherever the pair is computed.
-        seconds: by stage, this pair's even share of its slice's.
-        record: its file's content, the whole result; ``None`` where there was none.
+        seconds: by stage, an even share of what its slice took.
+        record: the content of its file, the whole result; ``None`` where there was none.
         digests: of both clouds, empty where they were not read.
     """
 
@@ -56,7 +64,7 @@ class Row:
 
     @staticmethod
     def failed(pair: Pair, reason: str, *, expected: bool) -> Row:
-        """A pair that never came to be registered."""
+        """The row of a pair that could not be registered."""
         state = UNREADABLE if expected else BROKEN
         missed = {} if pair.truth is None else {"found": False}
         table = _line(pair, {"success": False, "state": state, "reason": reason, **missed})
@@ -91,17 +99,20 @@ COLUMNS: dict[str, str] = {
     "rte_meters": "number",
     "rmse_meters": "number",
     "notes": "text",
+    "failure": "text",
 }
-"""The table's columns in order, with what they hold; other columns of the pairs file follow as
-texts, with ``pair_`` before a name that is taken."""
+"""The columns of the table in order, with what they hold; other columns of the pairs file follow as texts, with
+``pair_`` before a name that is taken. ``failure`` is the kind of a ``Failure``."""
 
 
-def row_of(pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, told: Told) -> Row:
+def row_of(
+    pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, digests: tuple[str, str], bounds: Bounds
+) -> Row:
     """The row of pair ``b`` of a result; ``source`` is its source cloud, over whose points the errors are taken."""
     record = result_to_dict(result, b, seed=pair.settings.seed, source=pair.source_text, target=pair.target_text)
     share = {name: seconds / len(result) for name, seconds in result.seconds}
     success, options, stages = bool(result.success[b]), result.options[b], result.stages[b]
-    truth = _errors(pair, result, b, source, told)
+    truth, failure = _errors(pair, result, b, source, bounds), result.failure[b]
     counts: Any = record["counts"]
     known = {
         **{name: record[name] for name in ("reason", "probability", "margin", "fitness", "inlier_rmse")},
@@ -119,6 +130,7 @@ def row_of(pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, to
         "inlier_threshold": options.ransac.inlier_threshold,
         "effort": options.effort,
         "notes": "; ".join(result.notes[b]),
+        "failure": None if failure is None else failure.kind,
         **truth,
     }
     record |= {"name": pair.name, "seconds": share, "truth": truth or None, "settings": pair.settings.flat()}
@@ -128,13 +140,34 @@ def row_of(pair: Pair, result: RegistrationResult, b: int, *, source: Clouds, to
         table=_line(pair, known),
         seconds=share,
         record=record,
-        digests=told.digests,
+        digests=digests,
     )
 
 
+def export(folder: Path, lines: Sequence[dict[str, Any]], seconds: Sequence[Mapping[str, float]]) -> None:
+    """Write ``results.csv``, ``.json`` and ``.parquet``, and ``times.csv``, each in full or not at all.
+
+    Args:
+        folder: of the batch.
+        lines: of all pairs, in order.
+        seconds: by stage, of all pairs.
+
+    Raises:
+        OSError: one cannot be written.
+    """
+    extra = list(dict.fromkeys(name for line in lines for name in line if name not in COLUMNS))
+    names = [*COLUMNS, *extra]
+    stages = list(dict.fromkeys(stage for one in seconds for stage in one))
+    times = [{"name": line["name"], **one} for line, one in zip(lines, seconds, strict=True)]
+    _write(folder / "results.csv", _csv(names, lines).encode())
+    _write(folder / "results.json", (json.dumps(list(lines), indent=1, allow_nan=False) + "\n").encode())
+    _write(folder / "results.parquet", _parquet(names, lines))
+    _write(folder / "times.csv", _csv(["name", *stages], times).encode())
+
+
 def _line(pair: Pair, known: dict[str, Any]) -> dict[str, Any]:
-    own = {"name": pair.name, "source": pair.source_text, "target": pair.target_text}
-    line = {name: own.get(name, known.get(name)) for name in COLUMNS}
+    known = {**known, "name": pair.name, "source": pair.source_text, "target": pair.target_text}
+    line = {name: known.get(name) for name in COLUMNS}
     taken = {name for name, _ in pair.extra}
     for name, text in pair.extra:
         free = name
@@ -144,8 +177,8 @@ def _line(pair: Pair, known: dict[str, Any]) -> dict[str, Any]:
     return line
 
 
-def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, told: Told) -> dict[str, Any]:
-    """How far the pose is from the truth, whether it is trusted or not; nothing where either is missing."""
+def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, bounds: Bounds) -> dict[str, Any]:
+    """Errors of the pose against the truth, whether it is trusted or not; nothing where either is missing."""
     T_true = pair.transform()
     if T_true is None:
         return {}
@@ -154,9 +187,44 @@ def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, told
     if not (bool(result.success[b]) or posed) or len(source.points) == 0:
         return {"found": False}
     errors = pose_errors(source, T_true, T)
-    bound = told.translation_bound
-    if bound is None:
-        bound = 4 * result.options[b].ransac.inlier_threshold
-    found = errors.rre_degrees < told.rotation_bound and errors.rte_meters < bound
+    meters = 4 * result.options[b].ransac.inlier_threshold if bounds.meters is None else bounds.meters
+    found = errors.rre_degrees < bounds.degrees and errors.rte_meters < meters
     plain = {name: value if math.isfinite(value) else None for name, value in errors._asdict().items()}
     return {"found": found, **plain}
+
+
+def _write(path: Path, content: bytes) -> None:
+    with atomic_write(path) as file:
+        file.write(content)
+
+
+def _csv(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([_cell(line.get(name)) for name in names] for line in lines)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, bool):
+        return str(value).lower()
+    return " ".join(map(repr, value)) if isinstance(value, list) else value
+
+
+def _parquet(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> bytes:
+    import pyarrow
+    from pyarrow import parquet
+
+    kinds = {
+        "text": pyarrow.string(),
+        "bool": pyarrow.bool_(),
+        "number": pyarrow.float64(),
+        "count": pyarrow.int64(),
+        "numbers": pyarrow.list_(pyarrow.float64()),
+    }
+    schema = pyarrow.schema([(name, kinds[COLUMNS.get(name, "text")]) for name in names])
+    columns = {name: [line.get(name) for line in lines] for name in names}
+    content = io.BytesIO()
+    parquet.write_table(pyarrow.table(columns, schema=schema), content)
+    return content.getvalue()

@@ -3,8 +3,8 @@
 ``register`` takes the lengths of a pair from the coarser of its two clouds. In a batch of all pairs of some scans that
 would give every scan as many sets of lengths as it has partners, though they differ by a few percent. So clouds that
 pairs link, directly or through others, and whose spacings lie within the factor that ``register`` takes for equal,
-share the coarsest spacing among them; a pair then takes the coarser of its clouds' shared ones, at most that factor
-above its own. Two clouds that have no other partner keep their own.
+share the coarsest spacing among them; a pair then takes the coarser of the two that its clouds share, at most that
+factor above what it would take alone. Two clouds that have no other partner keep the spacing of their pair.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ class Scale(NamedTuple):
 
     @property
     def size(self) -> float:
-        """What scales are compared by."""
+        """The longer of the two, by which scales are compared."""
         return max(self.voxel, self.spacing)
 
 
-def shared_scales(own: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> dict[Key, Scale]:
+def shared_scales(alone: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> dict[Key, Scale]:
     """The scale that each cloud shares with those that it belongs to; clouds with at most one partner are left out.
 
     Args:
-        own: of every cloud by itself.
+        alone: the scale of every cloud by itself.
         pairs: the clouds that are registered with each other.
     """
     shared: dict[Key, Scale] = {}
-    for linked in _components(own, pairs):
-        rest = sorted(linked, key=lambda cloud: -own[cloud].size) if len(linked) > 2 else []
+    for linked in _components(alone, pairs):
+        rest = sorted(linked, key=lambda cloud: -alone[cloud].size) if len(linked) > 2 else []
         while rest:
-            largest = own[rest[0]].size
-            group = [cloud for cloud in rest if own[cloud].size * UNEVEN >= largest]
-            common = Scale(max(own[cloud].voxel for cloud in group), max(own[cloud].spacing for cloud in group))
+            largest = alone[rest[0]].size
+            group = [cloud for cloud in rest if alone[cloud].size * UNEVEN >= largest]
+            common = Scale(max(alone[cloud].voxel for cloud in group), max(alone[cloud].spacing for cloud in group))
             shared |= dict.fromkeys(group, common)
             rest = rest[len(group) :]
     return shared
 
 
-def _components(own: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> list[list[Key]]:
-    """Clouds linked by pairs, in the order of ``own``."""
-    leader = {cloud: cloud for cloud in own}
+def _components(alone: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> list[list[Key]]:
+    """Clouds linked by pairs, in the order of ``alone``."""
+    leader = {cloud: cloud for cloud in alone}
 
     def leading(cloud: Key) -> Key:
         while leader[cloud] != cloud:
@@ -60,7 +60,7 @@ def _components(own: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> l
 
     for one, other in pairs:
         leader[leading(other)] = leading(one)
-    found: dict[Key, list[Key]] = {}
-    for cloud in own:
-        found.setdefault(leading(cloud), []).append(cloud)
-    return list(found.values())
+    components: dict[Key, list[Key]] = {}
+    for cloud in alone:
+        components.setdefault(leading(cloud), []).append(cloud)
+    return list(components.values())

@@ -1,6 +1,6 @@
-"""What a batch has done, on disk: every finished pair at once, so that a run that is cut off can go on.
+"""What a batch has done, on disk: every pair as soon as it is finished, so that a run that was cut off can resume.
 
-    DIR/run.json         what the run was told: a run of other options is refused
+    DIR/run.json         settings of the run: a run with others is refused
     DIR/batch.sqlite     a row per finished pair, and what is known of the clouds
     DIR/pairs/NAME.json  the whole result of one pair
     DIR/described/       descriptions of clouds, where no other folder is named for them
@@ -21,10 +21,9 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from torchreg.batch.clouds import CloudSource, Look
+from torchreg.batch.clouds import CloudMeasures, CloudSource
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row
-from torchreg.batch.sameness import pair_text, same_run
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write, remove_remains
 
@@ -51,12 +50,12 @@ INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UP
 _FINISHED = "SELECT name, state, said, options, digests, line, seconds FROM pairs"
 
 
-class Finished:
-    """A pair's row as it was committed.
+class FinishedPair:
+    """The row of a pair as it was committed.
 
     Attributes:
         state: as in ``Row``.
-        said: what the pair was, as one text.
+        text: the pair as it was written (``Pair.text``).
         options: that it was registered with, as one text.
         digests: of both clouds.
         line: of the table.
@@ -65,7 +64,7 @@ class Finished:
 
     def __init__(self, row: sqlite3.Row) -> None:
         self.state: str = row["state"]
-        self.said: str = row["said"]
+        self.text: str = row["said"]
         self.options: str = row["options"]
         self.digests: tuple[str, str] = tuple(json.loads(row["digests"]))
         self.line: dict[str, Any] = json.loads(row["line"])
@@ -77,11 +76,11 @@ class Store:
 
     Args:
         folder: made where it does not exist; the folder above it must.
-        manifest: what the run was told, plain values by name.
+        manifest: the settings of the run, plain values by name.
 
     Raises:
-        ValueError: the folder belongs to a run that was told something else, to something else, or another process
-            is at work in it.
+        ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
+            in it.
         OSError: it cannot be written.
     """
 
@@ -97,8 +96,8 @@ class Store:
             # a run that was killed at once may have left a lock or a part of run.json
             others = sorted(path.name for path in self.folder.iterdir() if not path.name.startswith("."))
             if others:
-                found = ", ".join(others[:3])
-                raise ValueError(f"out: expected an empty folder, or one of a batch, got {self.folder} with {found}")
+                some = ", ".join(others[:3])
+                raise ValueError(f"out: expected an empty folder, or one of a batch, got {self.folder} with {some}")
         self.folder.mkdir(exist_ok=True)
         self._lock = FileLock(self.folder / ".lock")
         try:
@@ -115,7 +114,7 @@ class Store:
 
     def _begin(self, known: Path, manifest: Mapping[str, Any]) -> None:
         if known.exists():
-            same_run(known, manifest)
+            _expect_same_run(known, manifest)
         else:
             with atomic_write(known) as file:
                 file.write((json.dumps(manifest, indent=2) + "\n").encode())
@@ -137,9 +136,9 @@ class Store:
         self._database.close()
         self._lock.release()
 
-    def finished(self) -> dict[str, Finished]:
+    def finished(self) -> dict[str, FinishedPair]:
         """The pairs that have a row, by name."""
-        return {row["name"]: Finished(row) for row in self._rows(_FINISHED)}
+        return {row["name"]: FinishedPair(row) for row in self._rows(_FINISHED)}
 
     def count_finished(self) -> int:
         """How many pairs have a row."""
@@ -158,7 +157,7 @@ class Store:
         values = (
             row.name,
             row.state,
-            pair_text(pair),
+            pair.text,
             options,
             *map(json.dumps, (row.digests, row.table, row.seconds)),
             record,
@@ -183,30 +182,30 @@ class Store:
             with atomic_write(path) as file:
                 file.write(record.encode())
 
-    def looks(self) -> dict[tuple[CloudSource, float | None], tuple[str, Look]]:
-        """What was seen of clouds: the stamp of the file then, and the look."""
+    def measures(self) -> dict[tuple[CloudSource, float | None], tuple[str, CloudMeasures]]:
+        """The measures of clouds, each behind the stamp that its file had then."""
         return {
             (CloudSource(*json.loads(row["source"])), json.loads(row["asked"])): (
                 row["stamp"],
-                Look(*json.loads(row["look"])),
+                CloudMeasures(*json.loads(row["look"])),
             )
             for row in self._rows("SELECT * FROM clouds")
         }
 
-    def keep_look(self, source: CloudSource, asked: float | None, stamp: str, look: Look) -> None:
-        """Keep what was seen of a cloud, in place of what was seen before."""
-        values = (json.dumps(source), json.dumps(asked), stamp, json.dumps(look))
+    def keep_measures(self, source: CloudSource, voxel: float | None, stamp: str, measures: CloudMeasures) -> None:
+        """Keep the measures of a cloud in place of earlier ones."""
+        values = (json.dumps(source), json.dumps(voxel), stamp, json.dumps(measures))
         self._commit("INSERT OR REPLACE INTO clouds VALUES (?, ?, ?, ?)", [values])
 
     def add_work(self, stage: str, seconds: float) -> None:
-        """Count seconds of work that no pair alone is charged with."""
+        """Count seconds of work that belongs to no single pair."""
         command = (
             "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds"
         )
         self._commit(command, [(stage, seconds)])
 
     def work(self) -> dict[str, float]:
-        """Seconds that no pair alone is charged with, by stage."""
+        """Seconds of work that belongs to no single pair, by stage."""
         rows = self._rows("SELECT stage, seconds FROM work ORDER BY rowid")
         return {row["stage"]: row["seconds"] for row in rows}
 
@@ -225,3 +224,27 @@ class Store:
             yield
         except sqlite3.DatabaseError as error:
             raise OSError(f"{self.folder / 'batch.sqlite'}: {error}") from None
+
+
+def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The values that differ, in words; empty where none do."""
+    names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
+    return ", ".join(f"{name} {then.get(name)!r} there and {now.get(name)!r} now" for name in names)
+
+
+def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
+    """Refuse a run of other settings than the one that began a folder.
+
+    Raises:
+        ValueError: something differs, which the message names, or the file is no manifest.
+    """
+    try:
+        then = json.loads(known.read_text())
+        expect(isinstance(then, dict), str(known), "the options of a run", then)
+    except ValueError as error:
+        raise ValueError(f"{known}: expected the options of a run, got another file ({error})") from None
+    different = differences(then, manifest)
+    if different:
+        raise ValueError(
+            f"out: expected a new folder or the options that {known.parent} was begun with, got {different}"
+        )

@@ -1,4 +1,4 @@
-"""What a batch came to: how many pairs are registered, how many of those with a truth are right, and the worst."""
+"""The summary of a batch: how many pairs are registered, how many of those with a truth are right, and the worst."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Summary:
     Attributes:
         pairs: all.
         clouds: different files among their sources and targets.
-        registered: found and trusted.
-        refused: not trusted, each for its reason.
+        registered: with a pose that is trusted.
+        refused: without one, each for its reason.
         unreadable: a cloud could not be read.
-        broken: failed by a defect.
+        broken: failed by a defect of ours.
         with_truth: whose transform is known.
         recalled: of those, registered and right.
         wrong_registered: of those, registered and wrong.
@@ -31,7 +31,7 @@ class Summary:
         rre_degrees: median over the recalled pairs; ``None`` without any.
         rte_meters: likewise.
         seconds: by stage, over all pairs, summed over workers.
-        worst: (name, what is wrong) of the pairs to look at first, the worst first: registered but wrong, failed,
+        worst: (name, what is wrong) of the pairs to check first, the worst first: registered but wrong, failed,
             refused, then registered ones of the least probability.
     """
 
@@ -63,7 +63,7 @@ class Summary:
 def summarize(
     lines: Sequence[Mapping[str, Any]], seconds: Sequence[Mapping[str, float]], work: Mapping[str, float]
 ) -> Summary:
-    """Summarize the lines of a table, the times of their stages, and those that no pair alone is charged with."""
+    """Summarize the lines of a table, the seconds of their stages, and those of work of no single pair."""
     states = [line["state"] for line in lines]
     known = [line for line in lines if line["found"] is not None]
     right = [line for line in known if line["found"] and line["success"]]
@@ -91,7 +91,7 @@ def summarize(
 
 
 def _badness(line: Mapping[str, Any]) -> tuple[int, float]:
-    """What the worst pairs have least of."""
+    """A key that sorts the worst pairs first."""
     certainty = line["probability"] if line["probability"] is not None else (line["fitness"] or 0.0)
     if line["success"] and line["found"] is False:
         return 0, -(math.inf if line["rte_meters"] is None else line["rte_meters"])

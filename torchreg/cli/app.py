@@ -30,8 +30,8 @@ app.command()(demo)
 app.add_typer(bench, name="bench")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(asked: bool) -> None:
+    if asked:
         typer.echo(f"torchreg {__version__}")
         raise typer.Exit
 
@@ -39,11 +39,11 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def torchreg(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit (a switch).")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Global registration of colored point clouds: FPFH and color features, mutual matches, batched RANSAC.
+    """Register colored point clouds without a first guess: geometric and color features, mutual matches, robust poses.
 
-    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed; batch has
-    its own.
+    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed; those of
+    batch stand in its help.
     """

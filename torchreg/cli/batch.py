@@ -2,111 +2,207 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import closing
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import typer
 
-from torchreg.cli import batch_options as own
+from torchreg.batch import Bounds, Engine, LocalEngine, Pair, RayEngine, Store, pairs_of_file, pairs_of_glob
+from torchreg.batch import run as run_batch
+from torchreg.batch.described_file import computing_versions
+from torchreg.batch.rows import RETRIED, export
+from torchreg.batch.summary import summarize
 from torchreg.cli import options as opt
-from torchreg.cli.batch_progress import shown
-from torchreg.cli.device import use
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output
-from torchreg.cli.overrides import Overrides
+from torchreg.cli.progress import batch_progress
 from torchreg.errors import expect, positive
+from torchreg.io.atomic import atomic_write, remove_remains
+from torchreg.settings import PairSettings, declared
 
-if TYPE_CHECKING:
-    from torchreg.batch import Bounds, Pair, PairSettings, Store
-    from torchreg.batch.engines import Engine
+_LISTED_FILES = 20  # that do not exist, by name
+
+
+class EngineKind(str, Enum):
+    """What runs the work."""
+
+    local = "local"
+    ray = "ray"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairList:
+    """The pairs of a batch, and when one with a truth counts as found."""
+
+    pairs: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[PAIRS]",
+            show_default=False,
+            help="A table of pairs (.csv) with the columns source and target, file names relative to its folder. "
+            "Further columns: name, truth (a file or sixteen numbers), and any of these settings for that pair alone: "
+            f"{', '.join(declared(PairSettings))}.",
+        ),
+    ] = None
+    all_pairs: Annotated[
+        str | None,
+        typer.Option(
+            "--all-pairs",
+            metavar="PATTERN",
+            help="Instead of a table, every two of the files that this pattern names, such as 'scans/*.ply'.",
+            rich_help_panel=opt.INPUT,
+        ),
+    ] = None
+    recall_degrees: Annotated[
+        float,
+        typer.Option(
+            "--recall-degrees",
+            metavar="DEGREES",
+            min=0,
+            help="Rotation error in degrees below which a pair with a truth counts as found.",
+            rich_help_panel=opt.INPUT,
+        ),
+    ] = 15.0
+    recall_meters: Annotated[
+        float | None,
+        typer.Option(
+            "--recall-meters",
+            metavar="METERS",
+            min=0,
+            help="Translation error in meters below which it counts as found; by default four inlier thresholds.",
+            rich_help_panel=opt.INPUT,
+        ),
+    ] = None
+
+    @property
+    def bounds(self) -> Bounds:
+        """When a pair counts as found.
+
+        Raises:
+            ValueError: an error that is no finite number above 0.
+        """
+        if self.recall_meters is not None:
+            positive(self.recall_meters, "--recall-meters")
+        return Bounds(positive(self.recall_degrees, "--recall-degrees"), self.recall_meters)
+
+    def read(self, settings: PairSettings) -> tuple[Pair, ...]:
+        """The pairs of the table or of the pattern.
+
+        Raises:
+            ValueError: both or neither are given, or one that names no pairs.
+        """
+        if self.pairs is not None and self.all_pairs is None:
+            return pairs_of_file(self.pairs, settings)
+        both = "neither" if self.pairs is None else "both"
+        expect(self.pairs is None and self.all_pairs is not None, "PAIRS", "a pairs file or --all-pairs", both)
+        return pairs_of_glob(self.all_pairs or "", settings)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
     """How a batch is computed; of this, the device alone may change the last bits of a result."""
 
-    engine: own.EngineName = own.EngineKind.local
-    ray_address: own.RayAddress = None
-    workers: own.Workers = None
-    cache: own.Cache = None
-    max_bytes: own.MaxBytes = None
+    engine: Annotated[
+        EngineKind,
+        typer.Option(
+            "--engine",
+            help="What runs the work: processes of this machine (local), or the workers of Ray, here or on a cluster "
+            "(ray). The results are the same.",
+            rich_help_panel=opt.RUN,
+        ),
+    ] = EngineKind.local
+    ray_address: Annotated[
+        str | None,
+        typer.Option(
+            "--ray-address",
+            metavar="ADDRESS",
+            help="Ray cluster to join: HOST:PORT, ray://HOST:PORT, or auto; by default one is started here.",
+            rich_help_panel=opt.RUN,
+        ),
+    ] = None
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="COUNT",
+            min=0,
+            help="Processes that work at once, 0 for this one alone; by default as many as there are cores.",
+            rich_help_panel=opt.RUN,
+        ),
+    ] = None
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            "--cache",
+            metavar="DIR",
+            help="Folder of described clouds, which several batches may share; by default described in the folder of "
+            "the results.",
+            rich_help_panel=opt.RUN,
+        ),
+    ] = None
+    max_bytes: Annotated[
+        int | None,
+        typer.Option(
+            "--max-bytes",
+            metavar="BYTES",
+            min=1,
+            help="Memory in bytes for the pairs that are registered together, over all workers; by default a quarter "
+            "of what is free.",
+            rich_help_panel=opt.RUN,
+        ),
+    ] = None
     device: opt.DeviceName = opt.Device.cpu
 
     def check(self) -> None:
-        """See before anything begins that the folder of descriptions can be one."""
+        """Check before anything begins that the folder of descriptions can be one."""
         if self.cache is not None:
             fits = self.cache.absolute().parent.is_dir() and (not self.cache.exists() or self.cache.is_dir())
             expect(fits, "--cache", "a folder, or a name for one in a folder that exists", str(self.cache))
 
     def start(self) -> Engine:
         """The engine that does the work."""
-        address = self.ray_address
-        ray = self.engine is own.EngineKind.ray
-        expect(address is None or ray, "--ray-address", "--engine ray beside it", self.engine.value)
+        ray = self.engine is EngineKind.ray
+        expect(self.ray_address is None or ray, "--ray-address", "--engine ray beside it", self.engine.value)
         if ray:
-            from torchreg.batch.ray_engine import RayEngine
-
-            return RayEngine(self.workers, address, self.device.value)
-        from torchreg.batch.local_engine import LocalEngine
-
+            return RayEngine(self.workers, self.ray_address, self.device.value)
         return LocalEngine(self.workers, self.device.value)
 
 
 @expanded
 def batch(
-    overrides: Overrides,
+    pairs: PairList,
+    settings: PairSettings,
     work: Work,
-    out: own.Out,
-    pairs: own.PairsFile = None,
-    all_pairs: own.AllPairs = None,
-    scale: own.ScaleName = own.ScaleKind.shared,
-    points: opt.Points = None,
-    viewpoint: opt.ViewpointText = "auto",
-    effort: opt.EffortName = None,
-    solver: opt.SolverName = None,
-    seed: opt.Seed = 0,
-    recall_degrees: own.RecallDegrees = 15.0,
-    recall_meters: own.RecallMeters = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder of the results, made if need be; an unfinished run there is resumed.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ],
 ) -> None:
     """Register every pair of PAIRS, a table with the columns source and target, and keep each as soon as it is done.
 
-    The same command goes on where it was cut off: no pair is lost, none computed twice beyond those in hand. Further
-    columns: name, truth (a file or sixteen numbers), and any of preset, scale, voxel, normal_radius, feature_radius,
-    color_radius, inlier_threshold, hypotheses, confidence, no_color, effort, solver, seed, points, viewpoint for that
-    pair alone; others are carried into the table.
+    The same command resumes a run that was cut off: no pair is lost, none computed twice beyond those in hand. All
+    lengths are in meters.
 
     DIR holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
 
-    Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, since a cloud
-    could not be read, say; the same command tries these again.
+    Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, because a
+    cloud could not be read, say; the same command tries these again.
     """
-    from torchreg.batch import Bounds, PairSettings, Store
-    from torchreg.batch.described_file import computing_versions
-
-    one_of_both = (pairs is None) != (all_pairs is None)
-    expect(one_of_both, "PAIRS", "a pairs file or --all-pairs", "neither" if pairs is None else "both")
-    use(work.device, None)
-    settings = PairSettings(
-        scale=scale.value,
-        preset=overrides.preset.value,
-        overrides=overrides.said(),
-        effort=None if effort is None else effort.value,
-        solver=None if solver is None else solver.value,
-        seed=seed,
-        points=points,
-        viewpoint=viewpoint,
-    )
-    if recall_meters is not None:
-        positive(recall_meters, "--recall-meters")
-    positive(recall_degrees, "--recall-degrees")
+    opt.use(work.device, None)
+    bounds = pairs.bounds
     work.check()
-    listed = _listed(pairs, all_pairs, settings)
-    bounds = Bounds(recall_degrees, recall_meters)
-    made = {**computing_versions(), "device": work.device.value}
-    manifest = {**made, **settings.flat(), "recall": list(bounds)}
+    listed = pairs.read(settings)
+    manifest = {**computing_versions(), "device": work.device.value, **settings.flat(), "recall": list(bounds)}
     with closing(work.start()) as engine, Store(out, manifest) as store:
         _run(listed, store, engine, work, bounds)
         broken = _finish(listed, store)
@@ -114,55 +210,37 @@ def batch(
         raise typer.Exit(NOT_REGISTERED)
 
 
-def _listed(pairs: Path | None, all_pairs: str | None, settings: PairSettings) -> tuple[Pair, ...]:
-    from torchreg.batch import pairs_of_file, pairs_of_glob
-
-    if pairs is not None:
-        return pairs_of_file(pairs, settings)
-    return pairs_of_glob(all_pairs or "", settings)
-
-
 def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, bounds: Bounds) -> None:
-    """The batch itself, and what is to be said of it on the way."""
-    from torchreg.batch import run
-    from torchreg.batch.rows import RETRIED
-    from torchreg.io.atomic import remove_remains
-
+    """Run the batch, with its messages."""
     described = (store.folder / "described" if work.cache is None else work.cache).absolute()
     described.mkdir(exist_ok=True)
     remove_remains(described, older_than=3600.0)
     finished = {name for name, row in store.finished().items() if row.state not in RETRIED}
-    ends = {path for pair in pairs if pair.name not in finished for path in (pair.source, pair.target)}
-    missing = sorted(path for path in ends if not Path(path).exists())
-    for path in missing[:20]:
+    files = {path for pair in pairs if pair.name not in finished for path in (pair.source, pair.target)}
+    missing = sorted(path for path in files if not Path(path).exists())
+    for path in missing[:_LISTED_FILES]:
         complain(f"{path}: no such file; its pairs fail")
-    if len(missing) > 20:
-        complain(f"and {len(missing) - 20} more files that do not exist")
-    with shown() as report:
+    if len(missing) > _LISTED_FILES:
+        complain(f"and {len(missing) - _LISTED_FILES} more files that do not exist")
+    with batch_progress() as report:
         try:
-            done = run(
+            counts = run_batch(
                 pairs, store, engine, described=described, bounds=bounds, max_bytes=work.max_bytes, report=report
             )
         except KeyboardInterrupt:
-            complain(
-                f"{store.count_finished():,} of {len(pairs):,} pairs are done with; the same command goes on from there"
-            )
+            done = f"{store.count_finished():,} of {len(pairs):,} pairs are finished"
+            complain(f"{done}; the same command resumes from there")
             raise
-    if done.before:
-        complain(f"{done.before:,} pairs were finished before")
-    if done.described or done.reused:
-        complain(f"{done.described:,} clouds were described, {done.reused:,} descriptions were there already")
-    if done.changed:
-        complain(f"{done.changed:,} finished pairs have other clouds or lengths now and were registered again")
+    if counts.before:
+        complain(f"{counts.before:,} pairs were finished before")
+    if counts.described or counts.reused:
+        complain(f"{counts.described:,} clouds were described, {counts.reused:,} descriptions were there already")
+    if counts.changed:
+        complain(f"{counts.changed:,} finished pairs have other clouds or lengths now and were registered again")
 
 
 def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     """Write the tables and show the summary; returns how many pairs have no result."""
-    import json
-
-    from torchreg.batch.export import export
-    from torchreg.batch.summary import summarize
-    from torchreg.io.atomic import atomic_write
     from torchreg.report import summary_table
 
     store.mend_records(pairs)

@@ -13,7 +13,7 @@ from torchreg.cli.guard import GuardedGroup
 bench = typer.Typer(
     cls=GuardedGroup,
     no_args_is_help=True,
-    help="Measure: the paper's experiments, and whatever else has a command below.",
+    help="Measure how well and how fast it registers, each command on data of its own.",
 )
 bench.command()(field)
 bench.command()(paper)

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchreg.cli import options as opt
-from torchreg.cli.bench_field import Methods, names_of
-from torchreg.cli.bench_options import Out, expect_folder
-from torchreg.cli.device import use
+from torchreg.cli.bench_options import Methods, Out, Scenes, expect_folder, names_of
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
 from torchreg.errors import positive
@@ -21,28 +19,24 @@ if TYPE_CHECKING:
 
 Folder = Annotated[
     Path,
-    typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes (a path)."),
+    typer.Argument(metavar="PATH", help="Folder of the fragments of a scene, or of several such scenes."),
 ]
 Log = Annotated[
     Path | None,
     typer.Option(
         "--log",
         metavar="NAME|FOLDER",
-        help="Which log lists the pairs: the name of a file in each scene or beside it, or a folder (a path) that "
-        "holds SCENE/gt.log for each, as 3DLoMatch comes; gt.log unless told.",
+        help="Log that lists the pairs: the name of a file in each scene or beside it, or a folder that holds "
+        "SCENE/gt.log for each, as in 3DLoMatch; by default gt.log.",
     ),
-]
-Scenes = Annotated[
-    str | None,
-    typer.Option("--scenes", metavar="NAME,NAME", help="Only these scenes (names, a comma between two)."),
 ]
 Voxel = Annotated[
     float,
-    typer.Option("--voxel", metavar="METERS", help="Average the points over cubes of this edge first, in meters."),
+    typer.Option("--voxel", metavar="METERS", help="Edge in meters of the voxels that points are averaged over."),
 ]
 Quick = Annotated[
     bool,
-    typer.Option("--quick", help="Of every scene, only the first pair that counts, as a trial (a switch)."),
+    typer.Option("--quick", help="Take of every scene only the first pair that counts, as a trial."),
 ]
 
 
@@ -64,8 +58,7 @@ def threedmatch(
     or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that do not
     follow one another, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
 
-    FOLDER holds 3dmatch.md with all tables, 3dmatch.csv and 3dmatch.json. A run that was cut off goes on where it
-    stopped.
+    FOLDER holds 3dmatch.md with all tables, 3dmatch.csv and 3dmatch.json. A run that was cut off is resumed.
 
     Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
     """
@@ -80,7 +73,7 @@ def threedmatch(
         scenes=names_of(scenes),
         voxel=positive(voxel, "--voxel"),
         quick=quick,
-        device=str(use(device, threads)),
+        device=str(opt.use(device, threads)),
         seed=seed,
     )
     _show(session.run(report=complain), out)

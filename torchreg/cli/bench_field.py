@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchreg.cli import options as opt
-from torchreg.cli.bench_options import Out, expect_folder
-from torchreg.cli.device import use
+from torchreg.cli.bench_options import Methods, Out, Scenes, expect_folder, names_of
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
 from torchreg.report.text import legible
@@ -19,24 +18,11 @@ if TYPE_CHECKING:
 
 Data = Annotated[
     Path,
-    typer.Option("--data", metavar="PATH", help="The list of pairs, or the folder whose pairs.json it is (a path)."),
-]
-Methods = Annotated[
-    str | None,
-    typer.Option(
-        "--methods",
-        metavar="NAME,NAME",
-        help="Only these (names without unit, a comma between two): open3d-100k, open3d-600k, open3d-600k-all, "
-        "open3d-fgr, kiss-matcher, gc-ransac, magsac, default, fast, thorough, paper, fpfh.",
-    ),
-]
-Scenes = Annotated[
-    str | None,
-    typer.Option("--scenes", metavar="NAME,NAME", help="Only the pairs of these (names, a comma between two)."),
+    typer.Option("--data", metavar="PATH", help="List of the pairs, or the folder whose pairs.json it is."),
 ]
 Quick = Annotated[
     bool,
-    typer.Option("--quick", help="Of every scene, only the pair that overlaps most, to see how it works (a switch)."),
+    typer.Option("--quick", help="Take of every scene only the pair that overlaps most, as a trial."),
 ]
 
 
@@ -56,7 +42,7 @@ def field(
     seconds, by scene and by overlap, with 95 % intervals over the pairs. All get the same clouds and lengths. A method
     whose package is not installed stands in the tables as such.
 
-    FOLDER holds field.md with all tables, field.csv and field.json. A run that was cut off goes on where it stopped.
+    FOLDER holds field.md with all tables, field.csv and field.json. A run that was cut off is resumed.
 
     Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
     """
@@ -69,15 +55,10 @@ def field(
         methods=names_of(methods),
         scenes=names_of(scenes),
         quick=quick,
-        device=str(use(device, threads)),
+        device=str(opt.use(device, threads)),
         seed=seed,
     )
     _show(session.run(report=complain), out)
-
-
-def names_of(text: str | None) -> tuple[str, ...] | None:
-    """The names in a text with commas between them; ``None`` for none."""
-    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _show(findings: Findings, out: Path) -> None:

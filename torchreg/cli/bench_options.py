@@ -11,8 +11,25 @@ from torchreg.errors import expect
 
 Out = Annotated[
     Path,
-    typer.Option("--out", metavar="FOLDER", help="Where all results go (a path); the same command goes on from there."),
+    typer.Option("--out", metavar="FOLDER", help="Folder of all results; an unfinished run there is resumed."),
 ]
+Methods = Annotated[
+    str | None,
+    typer.Option(
+        "--methods",
+        metavar="NAME,NAME",
+        help="Compare only these methods: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, "
+        "gc-ransac, magsac, default, fast, thorough, paper, fpfh.",
+    ),
+]
+Scenes = Annotated[
+    str | None, typer.Option("--scenes", metavar="NAME,NAME", help="Take only the pairs of these scenes.")
+]
+
+
+def names_of(text: str | None) -> tuple[str, ...] | None:
+    """The names in a text with commas between them; ``None`` for none."""
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def expect_folder(out: Path) -> None:

@@ -9,7 +9,6 @@ import typer
 
 from torchreg.cli import options as opt
 from torchreg.cli.bench_options import Out, expect_folder
-from torchreg.cli.device import use
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
 from torchreg.report.text import legible
@@ -19,12 +18,21 @@ if TYPE_CHECKING:
 
 Experiments = Annotated[
     list[int] | None,
-    typer.Option("--experiment", metavar="1..5", min=1, max=5, help="Only this one (a number, no unit; repeatable)."),
+    typer.Option(
+        "--experiment",
+        metavar="1..5",
+        min=1,
+        max=5,
+        help="Run only this experiment, from 1 to 5; may be given several times; by default all.",
+    ),
 ]
 Seeds = Annotated[
     int | None,
     typer.Option(
-        "--seeds", metavar="COUNT", min=1, help="How many simulated malls and roads (a count; 10, or 1 with --quick)."
+        "--seeds",
+        metavar="COUNT",
+        min=1,
+        help="Number of simulated malls and roads; by default 10, and 1 with --quick.",
     ),
 ]
 Real = Annotated[
@@ -32,15 +40,13 @@ Real = Annotated[
     typer.Option(
         "--real",
         metavar="PATH",
-        help="Also on the real pairs of this list, or of the folder's pairs.json (a path): those with colors and much "
+        help="Run also on the real pairs of this list, or of the pairs.json of this folder, that have colors and much "
         "overlap.",
     ),
 ]
 Quick = Annotated[
     bool,
-    typer.Option(
-        "--quick", help="A quarter of the points and coarse scans, to see within seconds how it works (a switch)."
-    ),
+    typer.Option("--quick", help="Take a quarter of the points and coarse scans, as a trial of some seconds."),
 ]
 
 
@@ -60,8 +66,8 @@ def paper(
     times with and without color, 5 an outdoor road. FPFH alone, FPFH + PCFH, and the same without histogram
     equalization, on simulated scans and, with --real, on real ones; all lengths in meters.
 
-    FOLDER holds paper.md with all tables and pictures, the tables as CSV, and paper.json. A run that was cut off goes
-    on where it stopped.
+    FOLDER holds paper.md with all tables and pictures, the tables as CSV, and paper.json. A run that was cut off is
+    resumed.
 
     Exit code 0: everything is there. 2: bad usage, or a file that cannot be read.
     """
@@ -78,7 +84,7 @@ def paper(
         seed=seed,
         real=real,
         quick=quick,
-        device=use(device, threads).type,
+        device=opt.use(device, threads).type,
     )
     _show(session.run(report=complain), out)
 

@@ -9,7 +9,6 @@ import typer
 
 from torchreg.cli import options as opt
 from torchreg.cli.bench_options import Out, expect_folder
-from torchreg.cli.device import use
 from torchreg.cli.guard import complain
 from torchreg.cli.output import standard_output
 from torchreg.errors import at_least, expect
@@ -17,14 +16,12 @@ from torchreg.report.text import legible
 
 Points = Annotated[
     str,
-    typer.Option("--points", metavar="COUNT,COUNT", help="Points of each cloud (counts, a comma between two)."),
+    typer.Option("--points", metavar="COUNT,COUNT", help="Numbers of points of each cloud, commas between them."),
 ]
 Repeats = Annotated[
-    int, typer.Option("--repeats", metavar="COUNT", min=1, help="Counted runs of everything (a count).")
+    int, typer.Option("--repeats", metavar="COUNT", min=1, help="Number of runs that count, of everything.")
 ]
-Quick = Annotated[
-    bool, typer.Option("--quick", help="Few points and two repeats, to see within seconds how it works (a switch).")
-]
+Quick = Annotated[bool, typer.Option("--quick", help="Take few points and two repeats, as a trial of some seconds.")]
 
 
 def speed(
@@ -39,7 +36,7 @@ def speed(
     Seconds over numbers of points, neighbors and hypotheses, how they grow (slopes of logarithms), and peak memory;
     this library eager and compiled. On the CPU.
 
-    FOLDER holds speed.md, speed.png and speed.json. A run that was cut off goes on where it stopped.
+    FOLDER holds speed.md, speed.png and speed.json. A run that was cut off is resumed.
 
     Exit code 0: everything is there. 2: bad usage.
     """
@@ -47,7 +44,7 @@ def speed(
     from torchreg.benchmark.speed.session import Session
 
     expect_folder(out)
-    use(opt.Device.cpu, threads)
+    opt.use(opt.Device.cpu, threads)
     session = Session(out=out, points=counts(points), repeats=repeats, quick=quick)
     rows = session.run(report=complain)
     console = standard_output()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Group, RenderableType
@@ -14,96 +14,90 @@ from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
-from torchreg.cli.overrides import Overrides, options_for
-from torchreg.cli.pair import PairInput, read_pair
+from torchreg.cli.pair import PairFiles, options_of_pair, read_pair
 from torchreg.cli.progress import step
+from torchreg.reference.comparison import Comparison
+from torchreg.reference.descriptors import DescriptorDifference
+from torchreg.settings import StageSettings
 
-if TYPE_CHECKING:
-    from torchreg.reference.comparison import Comparison
-    from torchreg.reference.descriptors import DescriptorDifference
-
-_NAMED = 3
+_LISTED_TIES = 3
 
 
-class Matched(str, Enum):
+class ComparedFeatures(str, Enum):
     """What both sides match."""
 
     fused = "fused"
     fpfh = "fpfh"
 
 
-MatchedFeatures = Annotated[
-    Matched,
-    typer.Option(
-        "--features",
-        help="What both sides match (a name). fused: torchreg's features, color included. fpfh: each its own FPFH.",
-        rich_help_panel="Search",
-    ),
-]
-
-
 @expanded
 def check(
-    pair_input: PairInput,
-    overrides: Overrides,
-    features: MatchedFeatures = Matched.fused,
+    files: PairFiles,
+    settings: StageSettings,
+    features: Annotated[
+        ComparedFeatures,
+        typer.Option(
+            "--features",
+            help="Features that both sides match. fused: torchreg's, color included. fpfh: each its own FPFH.",
+            rich_help_panel="Search",
+        ),
+    ] = ComparedFeatures.fused,
     threads: opt.Threads = None,
     json: opt.JsonFile = None,
 ) -> None:
-    """Register SOURCE to TARGET with torchreg and with Open3D, and compare what every stage gave, in meters.
+    """Register SOURCE to TARGET with torchreg and with Open3D, and compare their stages, lengths in meters.
 
     FPFH are compared row by row with the same normals and neighborhoods; a row is tied where rounding decides a
     vote in it. Exit code 0: all rows that are not tied agree, and torchreg registered the pair. 2: bad usage or an
     unreadable file. 3: rows differ, or the registration failed.
     """
-    from torchreg.cli.device import use
     from torchreg.io.result_json import versions
     from torchreg.reference import compare
 
-    check_outputs([Output("--json", json)], pair_input.paths)
-    use(opt.Device.cpu, threads)
-    T_true = pair_input.transform()
-    pair = read_pair(pair_input)
+    check_outputs([Output("--json", json)], files.paths)
+    opt.use(opt.Device.cpu, threads)
+    T_true = files.transform()
+    pair = read_pair(files, settings)
     with step(f"registering {pair.words[0]} to {pair.words[1]} with torchreg and with Open3D"):
-        options = options_for(*pair.used, overrides)
-        found = compare(*pair.used, options, truth=T_true, seed=pair_input.seed, features=features.value)
+        options = options_of_pair(*pair.used, settings)
+        comparison = compare(*pair.used, options, truth=T_true, seed=settings.seed, features=features.value)
 
-    good = found.descriptors_agree and found.torchreg.success
+    good = comparison.descriptors_agree and comparison.torchreg.success
     if json is not None:
-        run = {"preset": overrides.preset.value, **pair_input.run(), "seed": pair_input.seed}
-        names = {"source": str(pair_input.source), "target": str(pair_input.target)}
-        write_json(json, {**names, "agree": good, **found.to_dict(), "run": run, "versions": versions()})
+        run = {name: getattr(settings, name) for name in ("preset", "points", "viewpoint", "seed")}
+        names = {"source": str(files.source), "target": str(files.target)}
+        write_json(json, {**names, "agree": good, **comparison.to_dict(), "run": run, "versions": versions()})
     if json == STANDARD_OUTPUT:
-        complain(_verdict(found))
+        complain(_verdict(comparison))
     else:
-        standard_output().print(_report(found, pair.words))
+        standard_output().print(_report(comparison, pair.words))
     if not good:
         raise typer.Exit(NOT_REGISTERED)
 
 
-def _report(found: Comparison, words: tuple[str, str]) -> Group:
+def _report(comparison: Comparison, words: tuple[str, str]) -> Group:
     from torchreg.report import matrix_text
     from torchreg.report.text import plain
 
     parts: list[RenderableType] = [plain(f"source  {words[0]}"), plain(f"target  {words[1]}"), ""]
-    parts += [_side_by_side(found), ""]
-    sides = (("torchreg", found.torchreg), ("Open3D", found.open3d))
+    parts += [_side_by_side(comparison), ""]
+    sides = (("torchreg", comparison.torchreg), ("Open3D", comparison.open3d))
     for name, side in sides:
         if side.success:
             parts += [f"T_target_source by {name}", Text(matrix_text(side.T_target_source), no_wrap=True), ""]
-    if found.descriptors:
-        parts += [_descriptors(found.descriptors), *_ties(found.descriptors), ""]
+    if comparison.descriptors:
+        parts += [_descriptors(comparison.descriptors), *_ties(comparison.descriptors), ""]
     for name, side in sides:
         parts += [plain(f"note on {name}: {note}") for note in side.notes]
-    good = found.descriptors_agree and found.torchreg.success
-    return Group(*parts, Text(_verdict(found), style="bold green" if good else "bold red"))
+    good = comparison.descriptors_agree and comparison.torchreg.success
+    return Group(*parts, Text(_verdict(comparison), style="bold green" if good else "bold red"))
 
 
-def _side_by_side(found: Comparison) -> Table:
+def _side_by_side(comparison: Comparison) -> Table:
     table = Table("", "torchreg", "Open3D", box=None, header_style="bold", pad_edge=False)
-    sides = (found.torchreg, found.open3d)
+    sides = (comparison.torchreg, comparison.open3d)
     table.add_row("registered", *(Text("yes" if side.success else f"no: {side.reason}") for side in sides))
-    table.add_row("matches", *(f"{side.matches:,} ({found.shared_matches:,} shared)" for side in sides))
+    table.add_row("matches", *(f"{side.matches:,} ({comparison.shared_matches:,} shared)" for side in sides))
     table.add_row("inliers", *(f"{side.inliers:,}" for side in sides))
     table.add_row("fitness", *(_number(side.fitness) for side in sides))
     table.add_row("inlier_rmse (m)", *(_number(side.inlier_rmse) for side in sides))
@@ -131,22 +125,22 @@ def _ties(differences: tuple[DescriptorDifference, ...]) -> list[str]:
     lines = []
     for one in differences:
         if one.dtype == "float64" and one.tie_count > 0:
-            pairs = "; ".join(f"rows {tie.row} and {tie.neighbor}, {tie.kind}" for tie in one.ties[:_NAMED])
-            more = ", ..." if one.tie_count > _NAMED else ""
+            pairs = "; ".join(f"rows {tie.row} and {tie.neighbor}, {tie.kind}" for tie in one.ties[:_LISTED_TIES])
+            more = ", ..." if one.tie_count > _LISTED_TIES else ""
             lines.append(f"{one.tie_count:,} tied pairs in the {one.cloud}: {pairs}{more}")
     return lines
 
 
-def _verdict(found: Comparison) -> str:
-    if not found.descriptors:
-        said = "FPFH not compared"
-    elif found.descriptors_agree:
-        said = "FPFH agree"
+def _verdict(comparison: Comparison) -> str:
+    if not comparison.descriptors:
+        verdict = "FPFH not compared"
+    elif comparison.descriptors_agree:
+        verdict = "FPFH agree"
     else:
-        rows = sum(one.off_without_tie for one in found.descriptors)
-        said = f"FPFH differ in {rows:,} rows without a tie"
-    registered = "registered" if found.torchreg.success else f"not registered: {found.torchreg.reason}"
-    return f"{said}; torchreg {registered}"
+        rows = sum(one.off_without_tie for one in comparison.descriptors)
+        verdict = f"FPFH differ in {rows:,} rows without a tie"
+    registered = "registered" if comparison.torchreg.success else f"not registered: {comparison.torchreg.reason}"
+    return f"{verdict}; torchreg {registered}"
 
 
 def _number(value: float | None) -> str:

@@ -20,8 +20,8 @@ _DEBUG = "TORCHREG_DEBUG"
 class GuardedGroup(TyperGroup):
     """A group of commands that end with a message and an exit code whatever happens inside them.
 
-    ``ValueError`` (of which ``CloudFileError`` is one) and ``OSError`` are the user's to mend: 2. Anything else
-    that is raised is a defect: 1. With ``TORCHREG_DEBUG=1`` in the environment, exceptions pass through.
+    ``ValueError`` (of which ``CloudFileError`` is one) and ``OSError`` are for the user to mend: 2. Any other exception
+    is a defect: 1. With ``TORCHREG_DEBUG=1`` in the environment, exceptions pass through.
     """
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401  # the context's type is another one in older typers
@@ -47,12 +47,12 @@ class GuardedGroup(TyperGroup):
 
 
 def complain(message: str) -> None:
-    """Say what is wrong, on standard error."""
+    """Print a message on standard error."""
     typer.echo(f"torchreg: {legible(message)}", err=True)
 
 
 def _silence_stdout() -> None:
-    """Whoever read the output has left: let the interpreter flush the rest into nothing."""
+    """The reader of the output is gone: let the interpreter flush the rest into nothing."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)

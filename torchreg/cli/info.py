@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -12,35 +11,44 @@ from torchreg.cli import options as opt
 from torchreg.cli.output import STANDARD_OUTPUT, standard_output, write_json
 from torchreg.cli.progress import step
 from torchreg.io import CloudFile, read_cloud_report
-from torchreg.io.viewpoint_text import viewpoint_of_text
+from torchreg.io.formats import formats_in_words
+from torchreg.io.placement import viewpoint_of_text
+from torchreg.io.result_json import plain_data
 from torchreg.registration import derive_options
 from torchreg.registration.inspect import refuse
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.spacing import spacing
 
-CloudPath = Annotated[Path, typer.Argument(metavar="FILE", help="A .ply, .pcd or .npz file, coordinates in meters.")]
+CloudPath = Annotated[
+    Path, typer.Argument(metavar="FILE", help=f"A cloud, coordinates in meters: {formats_in_words()}.")
+]
+JsonSwitch = Annotated[
+    bool,
+    typer.Option("--json", help="Print JSON instead of a table, lengths in meters.", rich_help_panel=opt.OUTPUT),
+]
 
 
-def info(file: CloudPath, json: opt.JsonSwitch = False, viewpoint: opt.ViewpointText = "auto") -> None:
-    """Say what a cloud's FILE holds: points, colors, extent and spacing in meters, and the options that follow.
+def info(file: CloudPath, json: JsonSwitch = False, viewpoint: opt.ViewpointText = "auto") -> None:
+    """Show what a cloud's FILE holds: points, colors, extent and spacing in meters, and the options that follow.
 
     Exit code 0: the file can be read. 2: it cannot.
     """
     from torchreg.report import cloud_table
 
     with step(f"reading {file.name}"):
-        found = read_cloud_report(file, viewpoint=viewpoint_of_text(viewpoint, "--viewpoint"))
-    failure = refuse(found.cloud, found.cloud)[0]
+        report = read_cloud_report(file, viewpoint=viewpoint_of_text(viewpoint, "--viewpoint"))
+    cloud = report.cloud
+    failure = refuse(cloud, cloud)[0]
     defect = "" if failure is None else failure.text.replace("the source", "it")
     options, apart = None, 0.0
     if not defect:
         with step("measuring the spacing of the points"):
-            apart = float(spacing(found.cloud))
-            options = derive_options(found.cloud, found.cloud)[0]
+            apart = float(spacing(cloud))
+            options = derive_options(cloud, cloud)[0]
     if json:
-        write_json(STANDARD_OUTPUT, _content(found, apart, options, defect))
+        write_json(STANDARD_OUTPUT, _content(report, apart, options, defect))
     else:
-        standard_output().print(cloud_table(found, apart, options, defect))
+        standard_output().print(cloud_table(report, apart, options, defect))
 
 
 def _content(file: CloudFile, apart: float, options: RegistrationOptions | None, defect: str) -> dict[str, object]:
@@ -60,7 +68,7 @@ def _content(file: CloudFile, apart: float, options: RegistrationOptions | None,
         "origin": file.cloud.origin[0].tolist(),
         "extent": list(file.extent),
         "spacing": apart,
-        "options": None if options is None else asdict(options),
+        "options": plain_data(options),
         "cannot_be_registered": defect or None,
         "notes": list(file.notes),
     }

@@ -26,7 +26,7 @@ class Output(NamedTuple):
 
 
 def check_outputs(outputs: Sequence[Output], inputs: Sequence[Path]) -> None:
-    """See before the work begins that every output can be written and takes no other's place.
+    """Check before the work begins that every output can be written and that no two have one path.
 
     Raises:
         ValueError: another suffix, no such folder, a folder of that name, or a path that is an input or another
@@ -56,5 +56,5 @@ def write_json(path: Path, content: dict[str, object]) -> None:
 
 
 def standard_output(*, stderr: bool = False) -> Console:
-    """Where tables go (or standard error): no colors off a terminal, nothing in the text is taken for markup."""
+    """A console for tables, or for standard error: no colors off a terminal, nothing in the text read as markup."""
     return Console(stderr=stderr, markup=False, highlight=False, emoji=False)

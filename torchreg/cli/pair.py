@@ -1,40 +1,51 @@
-"""The two clouds of a command."""
+"""The two clouds of a command, and the options that they are registered with."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import torch
+import typer
 from torch import Tensor
 
-from torchreg.cli import options as opt
+from torchreg.cli.options import INPUT
 from torchreg.cli.progress import step
-from torchreg.io import CloudFile, read_cloud_report
-from torchreg.io.viewpoint_text import viewpoint_of_text
-from torchreg.preprocess import random_downsample
+from torchreg.io import CLOUD_SUFFIXES, CloudFile, read_cloud_report, read_transform_text
+from torchreg.io.formats import alternatives
+from torchreg.io.placement import viewpoint_of_text
+from torchreg.preprocess import random_downsample, voxel_downsample
+from torchreg.registration import derive_options
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.spacing import options_of_spacings, spacing, usable
+from torchreg.settings import PRESETS, Settings, StageSettings
 from torchreg.types import Clouds
+
+_CLOUD = f"a {alternatives(CLOUD_SUFFIXES)} file, coordinates in meters."
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairInput:
-    """What a command on two clouds reads, and how."""
+class PairFiles:
+    """The files of a command on two clouds."""
 
-    source: opt.Source
-    target: opt.Target
-    points: opt.Points = None
-    viewpoint: opt.ViewpointText = "auto"
-    truth: opt.TruthFile = None
-    seed: opt.Seed = 0
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help=f"The cloud that is moved: {_CLOUD}")]
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"The cloud that stays: {_CLOUD}")]
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            metavar="FILE",
+            help="File of the true transform, 4x4 text or JSON, in meters; adds the errors RRE in degrees, RTE and "
+            "RMSE in meters to the result.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None
 
     @property
     def paths(self) -> list[Path]:
         """The files that are read."""
         return [path for path in (self.source, self.target, self.truth) if path is not None]
-
-    def run(self) -> dict[str, object]:
-        """How the clouds were read, for JSON."""
-        return {"points": self.points, "viewpoint": self.viewpoint}
 
     def transform(self) -> Tensor | None:
         """The true transform (4, 4), where a file of it was given.
@@ -42,8 +53,6 @@ class PairInput:
         Raises:
             ValueError: the file does not hold one.
         """
-        from torchreg.io import read_transform_text
-
         return None if self.truth is None else read_transform_text(self.truth)
 
 
@@ -64,37 +73,54 @@ class ReadPair:
     @property
     def words(self) -> tuple[str, str]:
         """File name and size of both."""
-        return self._said(0), self._said(1)
+        return self._words(0), self._words(1)
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Points in the files and points used, for JSON."""
         numbers = zip(("source", "target"), self.files, self.used, strict=True)
         return {name: {"in_file": file.points_in_file, "used": len(used.points)} for name, file, used in numbers}
 
-    def _said(self, which: int) -> str:
+    def _words(self, which: int) -> str:
         file, used = self.files[which], len(self.used[which].points)
         part = "" if used == file.points_in_file else f"{used:,} of "
         return f"{file.path}: {part}{file.points_in_file:,} points"
 
 
-def read_pair(words: PairInput) -> ReadPair:
+def read_pair(paths: PairFiles, settings: StageSettings) -> ReadPair:
     """Read both files, and choose some points of each at random where that is asked for.
 
     Raises:
         CloudFileError: a file that cannot be read as a cloud.
-        ValueError: the viewpoint means nothing.
+        ValueError: the viewpoint cannot be meant.
     """
-    position = viewpoint_of_text(words.viewpoint, "--viewpoint")
+    position = viewpoint_of_text(settings.viewpoint)
     files = []
-    for path in (words.source, words.target):
+    for path in (paths.source, paths.target):
         with step(f"reading {path.name}"):
             files.append(read_cloud_report(path, viewpoint=position))
     whole = (files[0].cloud, files[1].cloud)
     used = whole
-    if words.points is not None:
-        generator = torch.Generator().manual_seed(words.seed)
+    if settings.points is not None:
+        generator = torch.Generator().manual_seed(settings.seed)
         used = (
-            random_downsample(whole[0], words.points, generator=generator),
-            random_downsample(whole[1], words.points, generator=generator),
+            random_downsample(whole[0], settings.points, generator=generator),
+            random_downsample(whole[1], settings.points, generator=generator),
         )
     return ReadPair(files=(files[0], files[1]), whole=whole, used=used)
+
+
+def options_of_pair(source: Clouds, target: Clouds, settings: StageSettings) -> RegistrationOptions:
+    """Options for one pair: a preset's, or derived from the spacing of the points once they are downsampled.
+
+    A voxel size given with the default preset thus sets the scale of all lengths that are not given.
+    """
+    preset = PRESETS[settings.preset]
+    if preset is not None:
+        return settings.over(preset)
+    effort = (settings.effort if isinstance(settings, Settings) else None) or "balanced"
+    if settings.voxel is None or not (usable(source) and usable(target)):
+        return settings.over(derive_options(source, target, effort=effort)[0])
+    thinned = [voxel_downsample(cloud, settings.voxel) for cloud in (source, target)]
+    apart = (float(spacing(thinned[0])), float(spacing(thinned[1])))
+    colored = source.colors is not None and target.colors is not None
+    return settings.over(options_of_spacings(apart, settings.voxel, colored=colored, effort=effort))

@@ -4,39 +4,84 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from torchreg.cli import options as opt
-from torchreg.cli.device import use
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
-from torchreg.cli.overrides import Overrides, options_for
-from torchreg.cli.pair import PairInput, ReadPair, read_pair
+from torchreg.cli.pair import PairFiles, ReadPair, options_of_pair, read_pair
 from torchreg.cli.progress import step
+from torchreg.io.formats import WRITERS, alternatives
 from torchreg.metrics import pose_errors
 from torchreg.registration.register import register as register_clouds
 from torchreg.report import FIGURE_SUFFIXES
+from torchreg.settings import Settings
 from torchreg.types import RegistrationResult
+
+_FIGURES = alternatives(FIGURE_SUFFIXES)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """The files that ``register`` writes where they are asked for."""
+    """What ``register`` writes and prints where it is asked for."""
 
     json: opt.JsonFile = None
-    transform: opt.TransformFile = None
-    aligned: opt.AlignedFile = None
-    figure: opt.FigureFile = None
-    matches: opt.MatchesFile = None
+    transform: Annotated[
+        Path | None,
+        typer.Option(
+            "--transform",
+            metavar="FILE.txt",
+            help="Write the transform as four lines of four numbers, its translation in meters.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None
+    aligned: Annotated[
+        Path | None,
+        typer.Option(
+            "--aligned",
+            metavar="FILE.ply",
+            help="Write the whole source in the frame of the target, coordinates in meters, as a "
+            f"{alternatives(WRITERS)} file.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            "--figure",
+            metavar="FILE.png",
+            help=f"Draw both clouds before and after from three sides, axes in meters, as a {_FIGURES} file.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None
+    matches: Annotated[
+        Path | None,
+        typer.Option(
+            "--matches",
+            metavar="FILE.png",
+            help=f"Draw the matches between both clouds, inliers beside outliers, axes in meters, as a {_FIGURES} "
+            "file.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Print after the table what each stage kept and dropped, which poses were weighed and what may help.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = False
 
     def check(self, inputs: list[Path]) -> None:
-        """See before the work begins that all of them can be written."""
+        """Check before the work begins that all of them can be written."""
         outputs = (
             Output("--json", self.json),
             Output("--transform", self.transform),
-            Output("--aligned", self.aligned, (".ply", ".npz")),
+            Output("--aligned", self.aligned, tuple(WRITERS)),
             Output("--figure", self.figure, FIGURE_SUFFIXES),
             Output("--matches", self.matches, FIGURE_SUFFIXES),
         )
@@ -45,12 +90,9 @@ class Outputs:
 
 @expanded
 def register(
-    pair_input: PairInput,
-    overrides: Overrides,
+    files: PairFiles,
+    settings: Settings,
     outputs: Outputs,
-    effort: opt.EffortName = None,
-    solver: opt.SolverName = None,
-    explain: opt.ExplainSwitch = False,
     device: opt.DeviceName = opt.Device.cpu,
     threads: opt.Threads = None,
 ) -> None:
@@ -63,38 +105,31 @@ def register(
     from torchreg.report import registration_table
     from torchreg.report.text import plain
 
-    outputs.check(pair_input.paths)
-    where = use(device, threads)
-    T_true = pair_input.transform()
-    pair, seed = read_pair(pair_input), pair_input.seed
-    with step(f"registering {pair_input.source.name} to {pair_input.target.name}"):
-        one, other = pair.used[0].to(where), pair.used[1].to(where)
-        options = options_for(one, other, overrides)
-        result = register_clouds(
-            one,
-            other,
-            options,
-            effort=None if effort is None else effort.value,
-            solver=None if solver is None else solver.value,
-            seed=seed,
-        )
+    outputs.check(files.paths)
+    where = opt.use(device, threads)
+    T_true = files.transform()
+    pair, seed = read_pair(files, settings), settings.seed
+    with step(f"registering {files.source.name} to {files.target.name}"):
+        source, target = pair.used[0].to(where), pair.used[1].to(where)
+        options = options_of_pair(source, target, settings)
+        result = register_clouds(source, target, options, seed=seed)
     success, reason = bool(result.success[0]), result.reason[0]
     errors = pose_errors(pair.whole[0], T_true, result.T_target_source[0]) if T_true is not None and success else None
 
     if outputs.json is not None:
-        content = result_to_dict(result, seed=seed, source=str(pair_input.source), target=str(pair_input.target))
-        run = {"preset": overrides.preset.value, **pair_input.run(), "device": device.value}
-        found = None if errors is None else errors._asdict()
-        write_json(outputs.json, {**content, "points": pair.counts(), "run": run, "truth": found})
+        content = result_to_dict(result, seed=seed, source=str(files.source), target=str(files.target))
+        run = {name: getattr(settings, name) for name in ("preset", "points", "viewpoint")} | {"device": device.value}
+        truth = None if errors is None else errors._asdict()
+        write_json(outputs.json, {**content, "points": pair.counts(), "run": run, "truth": truth})
     _write_clouds(outputs, pair, result)
-    _draw(outputs, pair, result, f"{pair_input.source.name} to {pair_input.target.name}")
+    _draw(outputs, pair, result, f"{files.source.name} to {files.target.name}")
     if outputs.json == STANDARD_OUTPUT:
         complain("registered" if success else f"not registered: {reason}")
     else:
         words = pair.words
         table = registration_table(result, source=words[0], target=words[1], truth=errors)
         standard_output().print(table)
-    if explain:
+    if outputs.explain:
         console = standard_output(stderr=outputs.json == STANDARD_OUTPUT)
         console.print("", plain(result.explain()), sep="\n", soft_wrap=True)
     if not success:

@@ -1,7 +1,8 @@
-"""From a raw cloud to ``Clouds``: finite points, colors in [0, 1], unit normals, origin and viewpoint."""
+"""From what a reader hands on to ``Clouds``: finite points, colors in [0, 1], unit normals, origin and viewpoint."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,30 +11,81 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.io.color_scale import ScaledColors, scale_colors
 from torchreg.io.placement import choose_origin, place_scanner
-from torchreg.io.raw_cloud import RawCloud
 from torchreg.types import Clouds
 
 FARTHEST_COORDINATE = 1e12  # meters; beyond it the bytes are no coordinates
+_SLACK = 1e-3  # a float color may exceed [0, 1] by this much and is cut off
+_LEAST_BRIGHT = 16.0  # floats whose largest lies from here to 255 are 8-bit values
 
 
-class Assembled(NamedTuple):
-    """A cloud and what was decided on the way; see ``CloudFile`` for the meaning of each."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawCloud:
+    """A cloud as its file holds it, numbers untouched. All positions are relative to ``origin``, in meters.
+
+    Attributes:
+        name: how messages call it: the file's path, or an argument.
+        format: such as "ply ascii".
+        points: (N, 3) float64.
+        colors: (N, 3) of any real dtype and range, or ``None``.
+        normals: (N, 3) float64 of any length, or ``None``.
+        origin: (3,) float64.
+        viewpoint: (3,) float64; NaN where the file says that it is not known; ``None`` where it says nothing.
+        notes: what a user should know.
+    """
+
+    name: str
+    format: str
+    points: NDArray[Any]
+    colors: NDArray[Any] | None = None
+    normals: NDArray[Any] | None = None
+    origin: NDArray[Any] = field(default_factory=lambda: np.zeros(3))
+    viewpoint: NDArray[Any] | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CloudFile:
+    """A cloud and what reading it showed.
+
+    Attributes:
+        cloud: a batch of one.
+        path: the file.
+        format: such as "ply binary_little_endian".
+        points_in_file: before points were dropped.
+        dropped_non_finite: points with NaN or infinity among their coordinates.
+        color_depth: "uint8", "uint16" or "float" in the file; ``None`` without colors.
+        viewpoint_source: where the scanner's position is known from, in words.
+        extent: edges of the bounding box along x, y, z, in meters.
+        notes: what a user should know, such as colors that had to be guessed at.
+    """
 
     cloud: Clouds
+    path: str
+    format: str
+    points_in_file: int
     dropped_non_finite: int
     color_depth: str | None
     viewpoint_source: str
     extent: tuple[float, float, float]
     notes: tuple[str, ...]
 
+    @property
+    def has_colors(self) -> bool:
+        """Whether the cloud has colors."""
+        return self.cloud.colors is not None
 
-def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.dtype) -> Assembled:
+    @property
+    def has_normals(self) -> bool:
+        """Whether the cloud has normals."""
+        return self.cloud.normals is not None
+
+
+def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.dtype) -> CloudFile:
     """Make a batch of one cloud.
 
     Args:
-        raw: what a reader found.
+        raw: from a reader.
         viewpoint: a ``checked_viewpoint``.
         dtype: of points, colors, normals and viewpoint.
 
@@ -61,8 +113,11 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         viewpoint=_tensor(position, dtype),
     )
     x, y, z = (points.max(axis=0) - points.min(axis=0)).tolist()
-    return Assembled(
+    return CloudFile(
         cloud=cloud,
+        path=raw.name,
+        format=raw.format,
+        points_in_file=len(finite),
         dropped_non_finite=len(finite) - len(points),
         color_depth=None if scaled.values is None else scaled.depth,
         viewpoint_source=scanner.source,
@@ -77,12 +132,74 @@ def checked_dtype(dtype: torch.dtype) -> torch.dtype:
     return dtype
 
 
-def _tensor(values: NDArray[Any] | None, dtype: torch.dtype) -> Tensor | None:
-    return None if values is None else torch.from_numpy(np.ascontiguousarray(values)).to(dtype)
+class ScaledColors(NamedTuple):
+    """Colors in [0, 1] and what they were.
+
+    Attributes:
+        values: (N, 3) float64, or ``None`` where not one color is a number.
+        depth: "uint8", "uint16" or "float".
+        notes: what a user should know.
+    """
+
+    values: NDArray[Any] | None
+    depth: str
+    notes: tuple[str, ...]
+
+
+def scale_colors(colors: NDArray[Any], name: str) -> ScaledColors:
+    """Scale colors to [0, 1] by their dtype; by their largest value where the dtype does not tell.
+
+    ========================  ==============================================================
+    uint8                     / 255
+    uint16                    / 65535
+    other integers            / 255 up to 255, / 65535 up to 65535
+    floats up to 1            as they are
+    floats from 16 to 255     / 255 (the largest counts: averages of 8-bit colors)
+    anything else             refused: negative values, floats with a maximum in (1, 16) or above 255
+    ========================  ==============================================================
+
+    A color with NaN or infinity becomes black, which has no hue.
+
+    Args:
+        colors: (N, 3) integers or floats.
+        name: how the message calls them.
+
+    Raises:
+        ValueError: values out of these ranges.
+    """
+    if colors.dtype.kind in "iu":
+        return _scale_integers(colors, name)
+    finite = np.isfinite(colors).all(axis=1)  # (N,)
+    if not finite.any():
+        return ScaledColors(None, "float", ("not one color is a finite number: read without colors",))
+    values = np.where(finite[:, None], colors, 0).astype(np.float64)
+    low, high = float(values.min()), float(values.max())
+    is_unit = high <= 1 + _SLACK
+    is_byte = 255 >= high >= _LEAST_BRIGHT
+    expected = f"float colors from 0 to 1, or to 255 with a maximum of at least {_LEAST_BRIGHT:g}"
+    legal = low >= -_SLACK and (is_unit or is_byte)
+    if not legal:
+        raise ValueError(f"{name}: expected {expected}, got {low:g} to {high:g}")
+    lost = len(finite) - int(finite.sum())
+    notes = [f"{lost} colors are not finite and were made black"] * (lost > 0)
+    if is_byte:
+        notes.append(f"float colors up to {high:g} were taken for 8-bit values and divided by 255")
+    return ScaledColors(np.clip(values / (255 if is_byte else 1), 0, 1), "float", tuple(notes))
+
+
+def _scale_integers(colors: NDArray[Any], name: str) -> ScaledColors:
+    low, high = int(colors.min()), int(colors.max())
+    if low < 0 or high > 65535:
+        raise ValueError(f"{name}: expected integer colors from 0 to 255 or 65535, got {low} to {high}")
+    is_wide = colors.dtype == np.uint16 or high > 255
+    notes: tuple[str, ...] = ()
+    if is_wide and high <= 255:
+        notes = (f"16-bit colors reach only {high} of 65535: very dark, unless they are 8-bit values",)
+    return ScaledColors(colors / (65535.0 if is_wide else 255.0), "uint16" if is_wide else "uint8", notes)
 
 
 def _unit_normals(normals: NDArray[Any] | None) -> tuple[NDArray[Any] | None, tuple[str, ...]]:
-    """Normals of length one, or none at all where some have no direction: ``Clouds`` has no half measures."""
+    """Normals of length one, or none at all where some have no direction: ``Clouds`` has all of them or none."""
     if normals is None:
         return None, ()
     with np.errstate(invalid="ignore", over="ignore"):
@@ -91,3 +208,7 @@ def _unit_normals(normals: NDArray[Any] | None) -> tuple[NDArray[Any] | None, tu
     if bad > 0:
         return None, (f"read without normals: {bad} of {len(normals)} have no direction",)
     return normals / length, ()
+
+
+def _tensor(values: NDArray[Any] | None, dtype: torch.dtype) -> Tensor | None:
+    return None if values is None else torch.from_numpy(np.ascontiguousarray(values)).to(dtype)

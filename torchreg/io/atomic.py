@@ -1,4 +1,4 @@
-"""Files that are there in full or not at all."""
+"""Files that are written in full or not at all."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from torchreg.errors import expect
 def atomic_write(path: str | os.PathLike[str], *, durable: bool = True) -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path`` and put it in its place once all is written.
 
-    Whoever looks at ``path`` sees the old content or the new, never a part. An error inside the block
+    A reader of ``path`` sees the old content or the new, never a part. An error inside the block
     removes the temporary file; a process that is killed leaves it behind as ``.NAME.XXXXXXXX.tmp``.
 
     Args:
         path: the file.
-        durable: whether it is on the disk for good when this ends, so that not even a power cut can empty it.
+        durable: whether the content is on the disk when this ends, so that not even a power cut can empty the file.
 
     Raises:
         ValueError: the folder does not exist, or ``path`` is one.
@@ -44,7 +44,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = True) -> Itera
 
 
 def remove_remains(folder: Path, older_than: float = 0.0) -> None:
-    """Remove what killed processes left of ``atomic_write`` in a folder: files not touched for so many seconds."""
+    """Remove the temporary files that killed processes left in a folder, unless changed in the last seconds."""
     for part in folder.glob(".*.tmp"):
         try:
             if time.time() - part.stat().st_mtime >= older_than:

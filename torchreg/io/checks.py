@@ -1,4 +1,4 @@
-"""What is wrong with a file, said in one form: its name, what was expected, and what came."""
+"""Errors about files, in one form: the name, what was expected, and what came."""
 
 from __future__ import annotations
 

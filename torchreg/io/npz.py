@@ -11,21 +11,25 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from torchreg.errors import CloudFileError
+from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import excerpt, refuse, require
-from torchreg.io.raw_cloud import RawCloud
+from torchreg.io.placement import viewpoint_or_nan
+from torchreg.types import Clouds
 
 _KEYS = ("points", "colors", "normals", "origin", "viewpoint")
 _UNREADABLE = (ValueError, OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
-def read_npz(path: Path) -> RawCloud:
+def read_npz(path: Path) -> Iterator[RawCloud]:
     """Read a cloud from a ``.npz`` file.
 
     Raises:
@@ -53,7 +57,7 @@ def read_npz(path: Path) -> RawCloud:
     origin = np.zeros(3) if origin is None else origin
     require(bool(np.isfinite(origin).all()), path, "a finite origin", str(origin))
     normals = arrays.get("normals")
-    return RawCloud(
+    yield RawCloud(
         name=str(path),
         format="npz",
         points=points.astype(np.float64),
@@ -62,6 +66,15 @@ def read_npz(path: Path) -> RawCloud:
         origin=origin,
         viewpoint=viewpoint,
     )
+
+
+def write_npz(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
+    """Write the arrays of one cloud in the dtype that the caller has it in."""
+    cloud = cloud.to(dtype=dtype)
+    arrays = {"points": cloud.points, "origin": cloud.origin[0], "viewpoint": viewpoint_or_nan(cloud)}
+    optional = {"colors": cloud.colors, "normals": cloud.normals}
+    arrays.update({key: value for key, value in optional.items() if value is not None})
+    np.savez(file, **{key: value.detach().numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
 
 
 def _array(path: Path, archive: zipfile.ZipFile, member: str, key: str) -> NDArray[Any]:

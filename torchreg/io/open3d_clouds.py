@@ -9,9 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from torchreg.errors import expect
-from torchreg.io.assemble import assemble, checked_dtype
+from torchreg.io.assemble import RawCloud, assemble, checked_dtype
 from torchreg.io.placement import Viewpoint, checked_viewpoint
-from torchreg.io.raw_cloud import RawCloud
 from torchreg.open3d_loader import load_open3d
 from torchreg.types import Clouds
 
@@ -43,15 +42,7 @@ def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype =
     expect(len(points) > 0, "pcd", "at least one point", "none")
     bad = int((~np.isfinite(points).all(axis=1)).sum())
     expect(bad == 0, "pcd", "finite points", f"{bad} of {len(points)} with NaN or infinity")
-    raw = RawCloud(
-        name="pcd",
-        format="open3d",
-        points=points,
-        colors=colors,
-        normals=normals,
-        origin=np.zeros(3),
-        viewpoint=None,
-    )
+    raw = RawCloud(name="pcd", format="open3d", points=points, colors=colors, normals=normals)
     return assemble(raw, wanted, dtype).cloud
 
 
@@ -86,10 +77,10 @@ def _arrays(pcd: Any) -> tuple[_Array, _Array | None, _Array | None]:  # noqa: A
         return np.array(pcd.points), colors, np.array(pcd.normals) if pcd.has_normals() else None
     expect(hasattr(pcd, "point"), "pcd", "an Open3D point cloud", pcd)
     keys = ("positions", "colors", "normals")
-    found = {key: pcd.point[key].cpu().numpy() for key in keys if key in pcd.point}
-    expect("positions" in found, "pcd", "at least one point", "none")
-    for key, values in found.items():
+    arrays = {key: pcd.point[key].cpu().numpy() for key in keys if key in pcd.point}
+    expect("positions" in arrays, "pcd", "at least one point", "none")
+    for key, values in arrays.items():
         expect(values.shape == (len(values), 3), "pcd", f"{key} (N, 3)", values.shape)
-    normals = found.get("normals")
+    normals = arrays.get("normals")
     wide = None if normals is None else normals.astype(np.float64)
-    return found["positions"].astype(np.float64), found.get("colors"), wide
+    return arrays["positions"].astype(np.float64), arrays.get("colors"), wide

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.io.checks import excerpt, refuse, require
-from torchreg.io.delimited import TableRow, read_delimited
+from torchreg.io.checks import excerpt, readable_file, refuse, require
 from torchreg.io.transform_text import checked_rigid, read_transform_text
 
 _KNOWN = ("source", "target", "truth", "name")
+_DELIMITERS = (",", ";", "\t")
+_LARGEST_FILE = 1 << 26  # bytes; beyond it somebody named a cloud where a table was meant
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,12 +48,17 @@ class PairRow:
 
 
 def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> tuple[PairRow, ...]:
-    """Read the pairs that a table lists; whether their clouds exist is not looked at.
+    """Read the pairs that a table lists; whether their clouds exist is not checked.
 
     The table has the columns ``source`` and ``target`` (files of clouds) and, where wanted, ``truth`` and
-    ``name``; other columns are kept as they are. See ``read_delimited`` for what the file may look like. A
-    truth is sixteen numbers, row after row, with anything of spaces, commas, semicolons and square brackets
-    between them, or else the name of a file that ``read_transform_text`` reads.
+    ``name``; other columns are kept as they are. A truth is sixteen numbers, row after row, with anything of
+    spaces, commas, semicolons and square brackets between them, or else the name of a file that
+    ``read_transform_text`` reads.
+
+    Cells are separated by commas, semicolons or tabs: by the first of the three under which the header, the first
+    line that counts, has both needed columns. Blank lines and lines that start with ``#`` do not count. Text is
+    UTF-8, with or without its byte order mark; lines end in any of the three usual ways; cells may be quoted with
+    ``"`` and then hold separators and, below the header, line ends.
 
     A pair without a name is called by its files, ``SOURCE__TARGET`` without folders and suffixes. Where that
     is taken, ``__2``, ``__3``, ... comes behind it: the first number that is free.
@@ -62,9 +71,10 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
         The pairs in the order of the table, at least one.
 
     Raises:
-        CloudFileError: the table cannot be read, lists nothing, leaves out a source or target, holds the same
-            pair twice, or names a truth that cannot be read or is not a rigid transform. The message names
-            the file and the line.
+        CloudFileError: the table cannot be read, lacks a column or has one twice, has a row of too few or too many
+            cells or a quote that is not closed, lists nothing, leaves out a source or target, holds the same pair
+            twice, or names a truth that cannot be read or is not a rigid transform. The message names the file and
+            the line.
         ValueError: ``root`` is not a folder.
 
     Example:
@@ -78,7 +88,7 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     if root is not None:
         expect(Path(root).is_dir(), "root", "a folder that exists", os.fspath(root))
     base = file.parent if root is None else Path(root)
-    table = read_delimited(file, ("source", "target"))
+    table = _read_table(file, ("source", "target"))
     require(bool(table), file, "at least one pair below the header", "none")
     lines: dict[tuple[str, str], int] = {}
     names: set[str] = set()
@@ -94,7 +104,12 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     return tuple(pairs)
 
 
-def _pair(row: TableRow, base: Path, names: set[str], where: str) -> PairRow:
+class _TableRow(NamedTuple):
+    line: int  # where the row begins, counted from 1 over all lines of the file
+    cells: dict[str, str]  # by the name of the column, without the white space around them
+
+
+def _pair(row: _TableRow, base: Path, names: set[str], where: str) -> PairRow:
     """The pair of a row; its name is added to those taken."""
     cells = row.cells
     for column in ("source", "target"):
@@ -146,3 +161,70 @@ def _truth(cell: str, base: Path, where: str) -> Tensor | None:
         return torch.from_numpy(checked_rigid([numbers[i : i + 4] for i in range(0, 16, 4)], "truth"))
     except ValueError as error:
         refuse(where, "a truth that is a rigid transform", str(error))
+
+
+def _read_table(path: str | os.PathLike[str], needed: tuple[str, ...]) -> tuple[_TableRow, ...]:
+    """The rows of a table with these columns, their names read in lower case; none where there is only a header."""
+    file = readable_file(path)
+    lines = enumerate(_lines(file), start=1)
+    number, header = next(((n, line) for n, line in lines if _counts(line)), (0, ""))
+    require(number > 0, file, "a header line", "nothing but blank lines and comments")
+    mark, names = _columns(header, f"{file}, line {number}", needed)
+    rows = []
+    for number, line in lines:
+        if not _counts(line):
+            continue
+        where = f"{file}, line {number}"
+        # The reader takes further lines only where a quoted cell continues in them.
+        reader = csv.reader(chain([line], (more for _, more in lines)), delimiter=mark, strict=True)
+        try:
+            cells = next(reader)
+        except csv.Error as error:
+            refuse(where, "cells without quotes or within a pair of them", f"{excerpt(line.strip())} ({error})")
+        require(len(cells) == len(names), where, f"{len(names)} cells, as the header has", f"{len(cells)}")
+        rows.append(_TableRow(number, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}))
+    return tuple(rows)
+
+
+def _lines(file: Path) -> list[str]:
+    """The lines with their ends, all of them a line feed."""
+    require(file.stat().st_size <= _LARGEST_FILE, file, "a table of text", "a file above 64 MB")
+    raw = file.read_bytes()
+    zero = raw.find(b"\0")
+    if zero >= 0:
+        refuse(f"{file}, line {raw.count(10, 0, zero) + 1}", "text in UTF-8", "a NUL byte")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = f"the byte 0x{raw[error.start]:02x}"
+        refuse(f"{file}, line {raw.count(10, 0, error.start) + 1}", "text in UTF-8", byte)
+    plain = text.replace("\r\n", "\n").replace("\r", "\n")
+    return [f"{line}\n" for line in plain.split("\n")]
+
+
+def _counts(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _columns(header: str, where: str, needed: tuple[str, ...]) -> tuple[str, list[str]]:
+    """The separator and the names of the columns."""
+    names: dict[str, list[str]] = {}
+    broken = ""
+    for mark in _DELIMITERS:
+        try:
+            cells = next(csv.reader([header], delimiter=mark, strict=True))
+        except csv.Error as error:
+            broken, cells = str(error), []  # quotes may fit another separator
+        names[mark] = [cell.strip().lower() for cell in cells]
+        if set(needed) <= set(names[mark]):
+            break
+    else:
+        if not any(names.values()):
+            refuse(where, "a header on one line, in cells without quotes or within a pair of them", broken)
+        most = max(names.values(), key=len)
+        refuse(where, f"the columns {' and '.join(needed)}", ", ".join(most))
+    columns = names[mark]
+    for column, name in enumerate(columns, start=1):
+        require(name != "", where, "a name for every column", f"none for column {column}")
+        require(columns.count(name) == 1, where, "every column once", f"{excerpt(name)} {columns.count(name)} times")
+    return mark, columns

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import lzf
 import numpy as np
 from numpy.typing import NDArray
 
+from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
-from torchreg.io.pcd_compressed import read_compressed
-from torchreg.io.raw_cloud import PACKED_COLORS, RawCloud, raw_from_columns
-from torchreg.io.table import Column, Columns, read_ascii, read_binary, surplus
+from torchreg.io.columns import (
+    PACKED_COLORS,
+    Column,
+    Columns,
+    raw_from_columns,
+    read_ascii,
+    read_binary,
+    record_dtype,
+    surplus,
+)
 
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {("F", "4"), ("F", "8"), *((kind, size) for kind in "UI" for size in "1248")}
 _LONGEST_HEADER = 1 << 16  # bytes
+_LARGEST_RATIO = 88  # the longest reference of LZF: 264 bytes from 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +39,7 @@ class _Header:
     size: int  # bytes, up to the first point
 
 
-def read_pcd(path: Path) -> RawCloud:
+def read_pcd(path: Path) -> Iterator[RawCloud]:
     """Read a PCD file. Its VIEWPOINT counts where the position is not the default zero.
 
     Raises:
@@ -46,8 +57,8 @@ def read_pcd(path: Path) -> RawCloud:
         columns = read_binary(path, header.columns, header.rows, header.size)
         notes = surplus(path, header.columns, header.rows, header.size)
     else:
-        columns = read_compressed(path, header.columns, header.rows, header.size)
-    return raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.viewpoint, notes)
+        columns = _read_compressed(path, header.columns, header.rows, header.size)
+    yield raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.viewpoint, notes)
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
@@ -85,9 +96,9 @@ def _columns(lines: dict[str, list[str]], path: Path) -> list[Column]:
 
 def _rows(lines: dict[str, list[str]], path: Path) -> int:
     keys = [key for key in ("WIDTH", "HEIGHT", "POINTS") if key in lines]
-    found = {key: count_of(" ".join(lines[key]), path, key) for key in keys}
-    grid = found["WIDTH"] * found.get("HEIGHT", 1) if "WIDTH" in found else None
-    points = found.get("POINTS", grid)
+    counts = {key: count_of(" ".join(lines[key]), path, key) for key in keys}
+    grid = counts["WIDTH"] * counts.get("HEIGHT", 1) if "WIDTH" in counts else None
+    points = counts.get("POINTS", grid)
     if points is None:
         refuse(path, "a line POINTS or WIDTH", "neither")
     require(grid in (None, points), path, "POINTS equal to WIDTH times HEIGHT", f"{points} and {grid}")
@@ -117,3 +128,38 @@ def _pack_text_colors(columns: Columns, declared: list[Column]) -> tuple[str, ..
             with np.errstate(over="ignore"):
                 columns[name] = np.where(known, values, 0).astype(dtypes[name].newbyteorder("="))
     return (f"{lost} packed colors are no numbers and were made black",) * (lost > 0)
+
+
+def _read_compressed(path: Path, columns: Sequence[Column], rows: int, offset: int) -> Columns:
+    """Read a compressed body: two sizes, then all columns one after another, packed as LZF.
+
+    LibLZF unpacks it, behind checks of both sizes: Open3D 0.20 crashes on some damaged headers, and where x, y, z
+    differ in type it finds no points. Arguments and result are those of ``read_binary``.
+
+    Raises:
+        CloudFileError: sizes that disagree with the header or the file, or bytes that are no LZF.
+    """
+    with path.open("rb") as file:
+        file.seek(offset)
+        body = file.read()
+    require(len(body) >= 8, path, "8 bytes with the sizes of the compressed points", f"{len(body)} bytes")
+    packed, full = (int(size) for size in np.frombuffer(body, "<u4", count=2))
+    wanted = rows * record_dtype(columns).itemsize
+    require(full == wanted, path, f"{wanted} bytes when uncompressed, as its header declares", f"{full}")
+    require(packed <= len(body) - 8, path, f"{packed} compressed bytes", f"{len(body) - 8}")
+    possible = full <= packed * _LARGEST_RATIO  # before LibLZF takes memory for them
+    require(possible, path, f"{full} bytes when uncompressed", f"{packed} compressed bytes, too few for so many")
+    try:
+        plain = lzf.decompress(body[8 : 8 + packed], full)  # None where there are more
+    except ValueError as error:
+        refuse(path, "LZF-compressed points", str(error))
+    if plain is None or len(plain) != full:
+        refuse(path, f"{full} bytes when uncompressed", "more" if plain is None else f"{len(plain)}")
+    by_name: Columns = {}
+    start = 0
+    for column in columns:
+        values = np.frombuffer(plain, column.dtype, count=rows * column.count, offset=start)
+        first = values.reshape(rows, column.count)[:, 0]
+        by_name.setdefault(column.name.lower(), first.astype(column.dtype.newbyteorder("=")))
+        start += values.nbytes
+    return by_name

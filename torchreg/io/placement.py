@@ -1,4 +1,4 @@
-"""Where the points' zero lies, and where the scanner stood."""
+"""The origin that is taken off the points, and the position of the scanner."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.types import Clouds
 
 FAR_COORDINATE = 1000.0  # meters; float32 keeps 0.03 mm at this distance from zero
 FAR_VIEWPOINT = 10.0  # diagonals of the bounding box between it and the frame's origin
@@ -52,7 +53,7 @@ def checked_viewpoint(viewpoint: Viewpoint) -> str | NDArray[Any] | None:
 
 
 def place_scanner(
-    wanted: str | NDArray[Any] | None, own: NDArray[Any] | None, points: NDArray[Any], origin: NDArray[Any]
+    wanted: str | NDArray[Any] | None, in_file: NDArray[Any] | None, points: NDArray[Any], origin: NDArray[Any]
 ) -> Scanner:
     """Decide on the viewpoint.
 
@@ -61,7 +62,7 @@ def place_scanner(
 
     Args:
         wanted: a ``checked_viewpoint``; a position is meant in the file's frame.
-        own: (3,) what the file says, relative to ``origin``; NaN where it says that it is not known.
+        in_file: (3,) what the file says, relative to ``origin``; NaN where it says that it is not known.
         points: (N, 3) relative to ``origin``, finite.
         origin: (3,) in the file's frame.
 
@@ -74,9 +75,9 @@ def place_scanner(
         return Scanner(wanted - origin, "given by the caller")
     if wanted == "origin":
         return Scanner(-origin, "the origin of the file's frame, as asked for")
-    if own is not None:
-        known = bool(np.isfinite(own).all())
-        return Scanner(own, "the file") if known else Scanner(None, "none: not known, as the file says")
+    if in_file is not None:
+        known = bool(np.isfinite(in_file).all())
+        return Scanner(in_file, "the file") if known else Scanner(None, "none: not known, as the file says")
     low, high = points.min(axis=0), points.max(axis=0)
     outside = np.maximum(np.maximum(low + origin, -(high + origin)), 0)  # (3,), from zero to the box
     distance, diagonal = float(np.linalg.norm(outside)), float(np.linalg.norm(high - low))
@@ -84,3 +85,26 @@ def place_scanner(
         source = f"none: the frame's origin is {distance:.0f} m from points that span {diagonal:.1f} m"
         return Scanner(None, source)
     return Scanner(-origin, "the origin of the file's frame, assumed")
+
+
+def viewpoint_of_text(text: str, name: str = "viewpoint") -> str | tuple[float, ...] | None:
+    """The ``viewpoint`` of ``read_cloud`` that a text means: ``auto``, ``origin``, ``none`` or ``x,y,z`` in meters.
+
+    Raises:
+        ValueError: anything else; the message calls it by ``name``.
+    """
+    if text in ("auto", "origin"):
+        return text
+    if text == "none":
+        return None
+    try:
+        position = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        position = ()
+    expect(len(position) == 3, name, "auto, origin, none or three numbers x,y,z in meters", text)
+    return position
+
+
+def viewpoint_or_nan(cloud: Clouds) -> Tensor:
+    """The viewpoint (3,) of one cloud as files hold it: relative to the origin; NaN where it is not known."""
+    return cloud.points.new_full((3,), float("nan")) if cloud.viewpoint is None else cloud.viewpoint[0]

@@ -6,16 +6,20 @@ zeros, leaves 16-bit colors out and writes past its buffers where x, y, z (or th
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
-from torchreg.io.raw_cloud import RawCloud, raw_from_columns
-from torchreg.io.table import Column, read_ascii, read_binary, record_dtype, surplus
+from torchreg.io.columns import Column, raw_from_columns, read_ascii, read_binary, record_dtype, surplus
+from torchreg.io.placement import FAR_COORDINATE, viewpoint_or_nan
+from torchreg.types import Clouds
 
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 VIEWPOINT_COMMENT = "viewpoint"  # "comment viewpoint x y z": where the scanner stood, written by write_cloud
@@ -43,8 +47,8 @@ class _Header:
     size: int = 0  # bytes, up to the first row
 
 
-def read_ply(path: Path) -> RawCloud:
-    """Read the element "vertex" of a PLY file; elements before it are skipped, those after it not looked at.
+def read_ply(path: Path) -> Iterator[RawCloud]:
+    """Read the element "vertex" of a PLY file; elements before it are skipped, those after it ignored.
 
     Raises:
         CloudFileError: not a PLY file, a header that is wrong or that promises more than the file holds,
@@ -70,7 +74,38 @@ def read_ply(path: Path) -> RawCloud:
         columns = read_binary(path, vertex.columns, vertex.rows, header.size + skip)
         if vertex is header.elements[-1]:
             notes = surplus(path, vertex.columns, vertex.rows, header.size + skip)
-    return raw_from_columns(str(path), f"ply {header.encoding}", columns, header.viewpoint, notes)
+    yield raw_from_columns(str(path), f"ply {header.encoding}", columns, header.viewpoint, notes)
+
+
+def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
+    """Write one cloud as ``write_cloud`` describes it: doubles where floats would lose a digit, else floats."""
+    points = (cloud.points + cloud.origin).detach().numpy()  # (N, 3) float64
+    far = bool(cloud.origin.any()) or (len(points) > 0 and float(np.abs(points).max()) > FAR_COORDINATE)
+    precise = dtype == torch.float64 or far
+    groups: list[tuple[tuple[str, ...], str, NDArray[Any]]] = [
+        (("x", "y", "z"), "<f8" if precise else "<f4", points),
+    ]
+    if cloud.normals is not None:
+        groups.append((("nx", "ny", "nz"), "<f4", cloud.normals.detach().numpy()))
+    if cloud.colors is not None:
+        levels = np.round(np.clip(cloud.colors.detach().numpy(), 0, 1) * 255)
+        groups.append((("red", "green", "blue"), "<u1", levels))
+    table = np.empty(len(points), dtype=[(name, kind) for names, kind, _ in groups for name in names])
+    for names, _, values in groups:
+        for i, name in enumerate(names):
+            table[name] = values[:, i]
+    words = {"<f8": "double", "<f4": "float", "<u1": "uchar"}
+    x, y, z = (viewpoint_or_nan(cloud) + cloud.origin[0]).tolist()
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {VIEWPOINT_COMMENT} {x:.17g} {y:.17g} {z:.17g}",
+        f"element vertex {len(points)}",
+        *(f"property {words[kind]} {name}" for names, kind, _ in groups for name in names),
+        "end_header",
+    ]
+    file.write(("\n".join(header) + "\n").encode("ascii"))
+    file.write(table.tobytes())
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:

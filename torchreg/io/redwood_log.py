@@ -65,13 +65,13 @@ def read_redwood_info(path: str | os.PathLike[str]) -> dict[tuple[int, int], Ten
     Raises:
         CloudFileError: as ``read_redwood_log``; the matrices must be finite.
     """
-    found = {}
+    matrices = {}
     for line, i, j, rows in _blocks(Path(path), 6):
         matrix = torch.tensor(rows, dtype=torch.float64)
         where = f"{os.fspath(path)}, line {line}"
         require(bool(matrix.isfinite().all()), where, "finite numbers", "others among those below")
-        found[i, j] = matrix
-    return found
+        matrices[i, j] = matrix
+    return matrices
 
 
 def _blocks(path: Path, size: int) -> Iterator[tuple[int, int, int, list[list[float]]]]:

@@ -1,4 +1,4 @@
-"""A registration's result as JSON: what was found, with what, by which versions."""
+"""The result of a registration as JSON, with its options and the versions that computed it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import math
 import os
 import platform
 import sys
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from importlib import metadata
 from typing import Any
 
@@ -18,7 +19,7 @@ from torch import Tensor
 from torchreg.errors import expect
 from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io.atomic import atomic_write
-from torchreg.types import RegistrationResult, StageCounts
+from torchreg.types import Failure, RegistrationResult, StageCounts
 
 _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")
 
@@ -41,7 +42,8 @@ def result_to_dict(
     Returns:
         A dictionary with the keys
 
-        - ``source``, ``target``: the names given; ``success``, ``reason`` (empty beside success), ``notes`` (list);
+        - ``source``, ``target``: the names given; ``success``, ``reason`` (empty beside success); ``failure``: kind and
+          figures, as ``Failure`` has them, or ``None``; ``notes`` (list);
         - ``T_target_source``: 4 x 4, meters; ``quaternion``: w, x, y, z of its rotation, w >= 0; ``translation``;
         - ``fitness``, ``inlier_rmse`` (meters), ``probability``, ``overlap``, ``strength``: numbers;
         - ``information``: 6 x 6, rotations before translations, or ``None``;
@@ -62,11 +64,12 @@ def result_to_dict(
     begin, end = result.correspondences.offsets[pair : pair + 2].tolist()
     quaternion = quaternion_wxyz(T[:3, :3]).tolist()
     counts = {f"hypotheses_{key}": int(value[pair]) for key, value in result.hypotheses._asdict().items()}
-    found = {
+    content = {
         "source": source,
         "target": target,
         "success": bool(result.success[pair]),
         "reason": result.reason[pair],
+        "failure": _failure(result.failure[pair]),
         "notes": result.notes[pair] if result.notes else (),
         "T_target_source": T.tolist(),
         "quaternion": dict(zip("wxyz", quaternion, strict=True)),
@@ -74,7 +77,7 @@ def result_to_dict(
         "fitness": float(result.fitness[pair]),
         "inlier_rmse": float(result.inlier_rmse[pair]),
         **{name: _value(getattr(result, name), pair) for name in _VERIFIED},
-        "candidates": [candidate._asdict() for candidate in result.candidates[pair]] if result.candidates else [],
+        "candidates": result.candidates[pair] if result.candidates else (),
         "stages": _stages(result.stages[pair]) if result.stages else None,
         "counts": {
             "correspondences": end - begin,
@@ -82,11 +85,11 @@ def result_to_dict(
             **counts,
         },
         "seed": seed,
-        "options": asdict(result.options[pair]) if result.options else None,
+        "options": result.options[pair] if result.options else None,
         "seconds": dict(result.seconds),
         "versions": versions(),
     }
-    return {key: _plain(value) for key, value in found.items()}
+    return {key: plain_data(value) for key, value in content.items()}
 
 
 def write_result_json(
@@ -103,20 +106,44 @@ def write_result_json(
     Raises:
         ValueError: ``pair`` is not one of the result's, or the folder does not exist.
     """
-    found = result_to_dict(result, pair, seed=seed, source=source, target=target)
+    content = result_to_dict(result, pair, seed=seed, source=source, target=target)
     with atomic_write(path) as file:
-        file.write((json.dumps(found, indent=2, allow_nan=False) + "\n").encode())
+        file.write((json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+
+
+def plain_data(value: Any) -> Any:  # noqa: ANN401
+    """Any value of this package as JSON has it, all the way down.
+
+    Dataclasses and named tuples become dictionaries of their fields, headed by ``name`` where the class has one (such
+    as the records of descriptors and solvers); tensors and sequences become lists, numbers that are not finite become
+    ``None``.
+    """
+    if isinstance(value, Tensor):
+        return plain_data(value.detach().cpu().tolist())
+    if is_dataclass(value) and not isinstance(value, type):
+        name = getattr(type(value), "name", None)
+        by_name = {one.name: getattr(value, one.name) for one in fields(value)}
+        return plain_data({"name": name, **by_name} if isinstance(name, str) else by_name)
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return plain_data(value._asdict())
+    if isinstance(value, Mapping):
+        return {str(key): plain_data(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_data(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def versions() -> dict[str, str | None]:
     """Versions of what takes part; Open3D's is ``None`` as long as nothing has loaded it."""
     try:
-        own = metadata.version("torchreg-pointcloud")
+        torchreg = metadata.version("torchreg-pointcloud")
     except metadata.PackageNotFoundError:
-        own = "not installed"
+        torchreg = "not installed"
     open3d = sys.modules.get("open3d")
     return {
-        "torchreg": own,
+        "torchreg": torchreg,
         "torch": torch.__version__,
         "numpy": np.__version__,
         "open3d": getattr(open3d, "__version__", None),
@@ -125,12 +152,16 @@ def versions() -> dict[str, str | None]:
     }
 
 
+def _failure(failure: Failure | None) -> dict[str, object] | None:
+    return None if failure is None else {"kind": failure.kind, "figures": failure.figures}
+
+
 def _value(values: Tensor | None, pair: int) -> object:
     """The pair's number or matrix; ``None`` where it was not computed, or is a matrix that is not finite."""
     if values is None:
         return None
-    own = values[pair].detach().cpu()
-    return own.tolist() if own.ndim == 0 or bool(torch.isfinite(own).all()) else None
+    value = values[pair].detach().cpu()
+    return value.tolist() if value.ndim == 0 or bool(torch.isfinite(value).all()) else None
 
 
 def _stages(stages: StageCounts) -> dict[str, object]:
@@ -138,17 +169,4 @@ def _stages(stages: StageCounts) -> dict[str, object]:
         name: dict(zip(("source", "target"), getattr(stages, name), strict=True))
         for name in ("given", "points", "described")
     }
-    return {**sides, "proposals": [proposal._asdict() for proposal in stages.proposals]}
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401
-    """Lists for tensors and tuples and ``None`` for numbers that are not finite, all the way down."""
-    if isinstance(value, Tensor):
-        return _plain(value.detach().cpu().tolist())
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return {**sides, "proposals": stages.proposals}

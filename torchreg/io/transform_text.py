@@ -35,7 +35,7 @@ def read_transform_text(path: str | os.PathLike[str]) -> Tensor:
     """Read a transform (4, 4) float64 from four lines of text, or from JSON under the key "T_target_source".
 
     Lines of text may hold comments after ``#``. The JSON that ``write_result_json`` writes will do, unless
-    it tells of a registration that failed.
+    the registration failed.
 
     Raises:
         CloudFileError: the file is missing, holds something else, or its matrix is not rigid within 1e-4.

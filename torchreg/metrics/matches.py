@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape, positive
-from torchreg.geometry.se3 import apply_rotation, inverse
+from torchreg.geometry.se3 import apply_rotation, inverse, quaternion_wxyz
 from torchreg.metrics.fit import relative_transform
 from torchreg.metrics.pose import rmse
 from torchreg.neighborhoods.point_index import nearest

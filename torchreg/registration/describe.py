@@ -100,7 +100,14 @@ def describe_clouds(
     """
     per_cloud = [options] * len(clouds) if isinstance(options, RegistrationOptions) else list(options)
     expect(len(per_cloud) == len(clouds), "options", f"one for all or one per cloud ({len(clouds)})", len(per_cloud))
-    descriptions = [description_of(option, colored=clouds.colors is not None) for option in per_cloud]
+    colored = clouds.colors is not None
+    return describe_by(clouds, [description_of(option, colored=colored) for option in per_cloud], max_bytes=max_bytes)
+
+
+def describe_by(
+    clouds: Clouds, descriptions: Sequence[Description], *, max_bytes: int = 1 << 28
+) -> DescribedClouds:
+    """Describe clouds, of each as its description says; the rest as ``describe_clouds``."""
     expect_alike(descriptions)
     for record in descriptions[0].descriptors if descriptions else ():
         expect(not record.is_pairwise, "options.descriptors", "descriptors of each cloud by itself", record)

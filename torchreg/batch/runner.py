@@ -1,7 +1,8 @@
-"""A whole batch: look at every cloud, describe each once, register the pairs, and keep what is done as it is done."""
+"""A whole batch: measure every cloud, describe each once, register the pairs, and keep each as soon as it is done."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,22 +11,20 @@ from typing import NamedTuple
 import torch
 
 from torchreg.batch import plan
-from torchreg.batch.engines import Engine
+from torchreg.batch.engine import BatchProgress, Engine, Outcome, Report, stop_without_room
 from torchreg.batch.jobs import DESCRIBE, REGISTER, DescribeItem, PairItem, Slice
-from torchreg.batch.outcome import Outcome, stop_without_room
 from torchreg.batch.pairs import Pair
-from torchreg.batch.plan import Bounds
-from torchreg.batch.progress import Progress, Report
-from torchreg.batch.rows import RETRIED, Row
-from torchreg.batch.sameness import options_text, same_pairs
-from torchreg.batch.store import Finished, Store
-from torchreg.batch.survey import Survey, options_of_pairs, own_lengths, survey
+from torchreg.batch.rows import RETRIED, Bounds, Row
+from torchreg.batch.store import FinishedPair, Store, differences
+from torchreg.batch.survey import Survey, lengths_stand_alone, options_of_pairs, survey_clouds
 from torchreg.errors import expect
+from torchreg.io.result_json import plain_data
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import budget
 
 
-class Done(NamedTuple):
-    """What a run came to.
+class RunCounts(NamedTuple):
+    """How many pairs and clouds a run worked on.
 
     Attributes:
         before: pairs that were finished before and stand.
@@ -51,7 +50,7 @@ def run(
     bounds: Bounds,
     max_bytes: int | None = None,
     report: Report = lambda _: None,
-) -> Done:
+) -> RunCounts:
     """Register all pairs that are not finished yet; each is kept as soon as it is done.
 
     Args:
@@ -62,22 +61,22 @@ def run(
         bounds: when a pair with a truth counts as found.
         max_bytes: about what pairs that are registered together may hold, over all workers; ``None`` takes a quarter
             of the free memory. Describing takes what one cloud needs, in every worker.
-        report: told of every step.
+        report: called at every step.
 
     Returns:
-        Done. The rows are in the store.
+        RunCounts. The rows are in the store.
 
     Raises:
-        ValueError: two pairs of one name, or a pair that is finished was told something else then.
+        ValueError: two pairs of one name, or a finished pair that was written differently then.
         OSError: nothing can be written any more; what was finished stands.
     """
     twice = [name for name, count in Counter(pair.name for pair in pairs).items() if count > 1]
     expect(not twice, "pairs", "a name of its own for every pair", twice)
     finished = store.finished()
-    same_pairs(pairs, finished)
+    _expect_same_pairs(pairs, finished)
     share = max(1, budget(max_bytes, torch.device("cpu")) // engine.workers)
-    found = survey(pairs, store, engine, report)
-    todo = _todo(pairs, finished, found, store, engine, described, bounds)
+    survey = survey_clouds(pairs, store, engine, report)
+    todo = _todo(pairs, finished, survey, store, engine, described, bounds)
 
     wanted = {side.file for item in todo.items for side in (item.source, item.target)}
     missing = plan.missing_descriptions(todo.items)
@@ -86,7 +85,7 @@ def run(
     again = {pair.name for pair, _ in todo.failed} | {item.pair.name for item in todo.items}
     stand = [pair.name for pair in pairs if pair.name not in again]
     failures = sum(not finished[name].line["success"] for name in stand)
-    tally = _Tally(store, Progress("register", len(stand), len(pairs), failures), report)
+    tally = _Tally(store, BatchProgress("register", len(stand), len(pairs), failures), report)
     for pair, outcome in todo.failed:
         tally.fail(pair, outcome)
     left: list[PairItem] = []
@@ -97,7 +96,7 @@ def run(
         else:
             tally.fail(item.pair, missed)
     _register(left, engine, share, tally)
-    return Done(len(stand), len(again), len(missing) - len(lost), len(wanted) - len(missing), todo.changed)
+    return RunCounts(len(stand), len(again), len(missing) - len(lost), len(wanted) - len(missing), todo.changed)
 
 
 class _Todo(NamedTuple):
@@ -111,46 +110,61 @@ class _Todo(NamedTuple):
 
 def _todo(
     pairs: Sequence[Pair],
-    finished: Mapping[str, Finished],
-    found: Survey,
+    finished: Mapping[str, FinishedPair],
+    survey: Survey,
     store: Store,
     engine: Engine,
     described: Path,
     bounds: Bounds,
 ) -> _Todo:
     readable, failed = [], []
+    settled = {name: row for name, row in finished.items() if row.state not in RETRIED}
     for pair in pairs:
-        row, trouble = finished.get(pair.name), found.trouble(pair)
-        open_ = row is None or row.state in RETRIED
+        row, trouble = settled.get(pair.name), survey.trouble(pair)
         if trouble is not None:
-            failed += [(pair, trouble)] if open_ else []
-        elif open_ or not own_lengths(pair, found) or _digests(pair, found) != (row.digests if row else None):
+            failed += [(pair, trouble)] if row is None else []
+        elif row is None or not lengths_stand_alone(pair, survey) or row.digests != survey.digests_of(pair):
             readable.append(pair)
-    options, lost = options_of_pairs(readable, found, store, engine)
+    options, lost = options_of_pairs(readable, survey, store, engine)
     items, stale = [], 0
     for pair in readable:
-        row = finished.get(pair.name)
-        open_ = row is None or row.state in RETRIED
+        row = settled.get(pair.name)
         if pair.name in lost:
-            failed += [(pair, lost[pair.name])] if open_ else []
+            failed += [(pair, lost[pair.name])] if row is None else []
             continue
-        text = options_text(options[pair.name])
-        if open_ or row is None or row.digests != _digests(pair, found) or row.options != text:
-            looks = found.looks_of(pair)
-            items.append(plan.pair_item(pair, options[pair.name], looks, described, engine.device, bounds))
-            stale += not open_
+        text = _options_text(options[pair.name])
+        if row is None or row.digests != survey.digests_of(pair) or row.options != text:
+            measures = survey.measures_of(pair)
+            items.append(plan.pair_item(pair, options[pair.name], measures, described, engine.device, bounds))
+            stale += row is not None
     return _Todo(items, failed, stale)
 
 
-def _digests(pair: Pair, found: Survey) -> tuple[str, str]:
-    one, other = found.looks_of(pair)
-    return one.digest, other.digest
+def _expect_same_pairs(pairs: Sequence[Pair], finished: Mapping[str, FinishedPair]) -> None:
+    """Refuse pairs whose finished row was written differently; one that failed may be corrected.
+
+    Raises:
+        ValueError: a pair differs; the message names it.
+    """
+    for pair in pairs:
+        row = finished.get(pair.name)
+        if row is None or row.state in RETRIED:
+            continue
+        different = differences(json.loads(row.text), json.loads(pair.text))
+        if different:
+            expected = "what it was when it was finished, or a new folder"
+            raise ValueError(f"pair {pair.name}: expected {expected}, got {different}")
+
+
+def _options_text(options: RegistrationOptions) -> str:
+    """All options as one text that is compared."""
+    return json.dumps(plain_data(options), sort_keys=True)
 
 
 class _Tally:
-    """Rows as they come: kept, counted, reported."""
+    """Keeps rows as they come, counts and reports them."""
 
-    def __init__(self, store: Store, progress: Progress, report: Report) -> None:
+    def __init__(self, store: Store, progress: BatchProgress, report: Report) -> None:
         self._store, self._progress, self._report = store, progress, report
         report(progress)
 
@@ -185,20 +199,20 @@ def _register_slices(slices: Sequence[Slice], engine: Engine, tally: _Tally) -> 
             failed.append((slices[place], outcome))
             continue
         for item, row in zip(slices[place], outcome.value, strict=True):
-            tally.finish(item.pair, row, options_text(item.options))
+            tally.finish(item.pair, row, _options_text(item.options))
     return failed
 
 
 def _describe(
     missing: Sequence[DescribeItem], total: int, store: Store, engine: Engine, report: Report
 ) -> dict[str, Outcome]:
-    """Describe clouds; returns what came of those that could not be, by their files."""
+    """Describe clouds; returns the outcomes of those that could not be described, by their files."""
     lost: dict[str, Outcome] = {}
-    report(Progress("describe", total - len(missing), total))
+    report(BatchProgress("describe", total - len(missing), total))
     for count, (place, outcome) in enumerate(engine.run(DESCRIBE, missing), start=1):
         stop_without_room(outcome)
         store.add_work("describing clouds", outcome.seconds)
         if outcome.reason:
             lost[missing[place].file] = outcome
-        report(Progress("describe", total - len(missing) + count, total))
+        report(BatchProgress("describe", total - len(missing) + count, total))
     return lost

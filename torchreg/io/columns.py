@@ -1,6 +1,6 @@
-"""Rows of named numbers, as PLY and PCD store points: packed binary records or one line of text each.
+"""Points as rows of named numbers, as PLY and PCD store them: packed binary records or one line of text each.
 
-Every size is checked against the file before anything is allocated: a header may say what it likes.
+Every size is checked against the file before anything is allocated: a header may claim anything.
 """
 
 from __future__ import annotations
@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import refuse, require
+
+COORDINATES = ("x", "y", "z")
+NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+PACKED_COLORS = ("rgb", "rgba")  # one word 0x_RRGGBB, of PCD; often declared as a float
 
 
 @dataclass(frozen=True)
@@ -56,11 +62,11 @@ def read_binary(path: Path, columns: Sequence[Column], rows: int, offset: int) -
     expected = f"{rows} points of {record.itemsize} bytes after the header, as it declares"
     require(rows * record.itemsize <= available, path, expected, f"{max(available, 0)} bytes")
     table = np.fromfile(path, record, count=rows, offset=offset)
-    found: Columns = {}
+    by_name: Columns = {}
     for i, column in enumerate(columns):
         values = table[str(i)][:, 0]
-        found.setdefault(column.name.lower(), values.astype(column.dtype.newbyteorder("=")))
-    return found
+        by_name.setdefault(column.name.lower(), values.astype(column.dtype.newbyteorder("=")))
+    return by_name
 
 
 def surplus(path: Path, columns: Sequence[Column], rows: int, offset: int) -> tuple[str, ...]:
@@ -92,12 +98,12 @@ def read_ascii(path: Path, columns: Sequence[Column], rows: int, offset: int, sk
     except ValueError as error:
         refuse(path, f"{width} numbers in every line of points", str(error).split(";")[0])
     require(table.shape == (rows, width), path, f"{width} numbers in every line", f"{table.shape[1]}")
-    found: Columns = {}
+    by_name: Columns = {}
     first = 0
     for column in columns:
-        found.setdefault(column.name.lower(), _declared(table[:, first], column, path))
+        by_name.setdefault(column.name.lower(), _declared(table[:, first], column, path))
         first += column.count
-    return found
+    return by_name
 
 
 def _declared(values: NDArray[Any], column: Column, path: Path) -> NDArray[Any]:
@@ -111,3 +117,51 @@ def _declared(values: NDArray[Any], column: Column, path: Path) -> NDArray[Any]:
         expected = f"{column.name} of type {column.dtype.name}, as its header declares"
         refuse(path, expected, f"{values[row]:g} at point {row}")
     return values.astype(column.dtype.newbyteorder("="))
+
+
+def raw_from_columns(
+    name: str,
+    kind: str,
+    columns: Columns,
+    viewpoint: NDArray[Any] | None = None,
+    notes: tuple[str, ...] = (),
+) -> RawCloud:
+    """Pick coordinates, colors and normals by the names that files use.
+
+    Raises:
+        CloudFileError: one of x, y, z is missing, or the colors are not of one type.
+    """
+    points = _three(columns, COORDINATES)
+    if points is None:
+        refuse(name, "the properties x, y, z", ", ".join(columns) or "none")
+    normals = next((three for names in NORMALS if (three := _three(columns, names)) is not None), None)
+    return RawCloud(
+        name=name,
+        format=kind,
+        points=points.astype(np.float64),
+        colors=_colors(name, columns),
+        normals=None if normals is None else normals.astype(np.float64),
+        viewpoint=viewpoint,
+        notes=notes,
+    )
+
+
+def _three(columns: Columns, names: tuple[str, ...]) -> NDArray[Any] | None:
+    if not all(name in columns for name in names):
+        return None
+    return np.stack([columns[name] for name in names], axis=1)  # (N, 3)
+
+
+def _colors(name: str, columns: Columns) -> NDArray[Any] | None:
+    for names in COLORS:
+        colors = _three(columns, names)
+        if colors is not None:
+            kinds = [columns[word].dtype.name for word in names]
+            require(len(set(kinds)) == 1, name, f"{', '.join(names)} of one type", ", ".join(kinds))
+            return colors
+    packed = next((columns[word] for word in PACKED_COLORS if word in columns), None)
+    if packed is None:
+        return None
+    require(packed.dtype.itemsize == 4, name, "packed colors of 4 bytes", str(packed.dtype))
+    bits = packed.view(np.uint32)
+    return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)  # (N, 3)

@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from torchreg.batch.outcome import attempt
+from torchreg.batch.engine import attempt
 from torchreg.errors import CloudFileError
 
 
@@ -28,14 +28,14 @@ def raising(error):
     ],
 )
 def test_an_error_becomes_a_reason(error, reason, expected, no_room):
-    found = attempt(raising(error))
-    assert (found.value, found.reason, found.expected, found.no_room) == (None, reason, expected, no_room)
+    outcome = attempt(raising(error))
+    assert (outcome.value, outcome.reason, outcome.expected, outcome.no_room) == (None, reason, expected, no_room)
 
 
 def test_a_value_comes_with_its_time():
-    found = attempt(lambda a, b: a + b, 2, 3)
-    assert (found.value, found.reason) == (5, "")
-    assert found.seconds >= 0
+    outcome = attempt(lambda a, b: a + b, 2, 3)
+    assert (outcome.value, outcome.reason) == (5, "")
+    assert outcome.seconds >= 0
 
 
 def test_an_interrupt_is_no_outcome():

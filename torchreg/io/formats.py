@@ -1,0 +1,67 @@
+"""The kinds of files that hold clouds, one row each; readers, writers, messages and help texts follow from the rows.
+
+To add a kind, write its reader, its writer or both in a file of its own and name them in a row of ``FORMATS``. Import a
+package that not everybody has inside these functions, so that it loads with the first such file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import torch
+
+from torchreg.io.assemble import RawCloud
+from torchreg.io.npz import read_npz, write_npz
+from torchreg.io.pcd import read_pcd
+from torchreg.io.ply import read_ply, write_ply
+from torchreg.types import Clouds
+
+Reader = Callable[[Path], Iterator[RawCloud]]
+"""Yields the scans of a file one after another: one in most formats, many in a project of a scanner."""
+
+Writer = Callable[[BinaryIO, Clouds, torch.dtype], None]
+"""Writes one cloud, which is on the CPU in float64, to an open file; the dtype is the one that the caller has it in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudFormat:
+    """One kind of file.
+
+    Attributes:
+        suffixes: what the names of such files end in, in lower case, the usual one first.
+        words: what the format is, as help texts put it behind the suffixes.
+        read: ``None`` where the format is only written.
+        write: ``None`` where the format is only read.
+    """
+
+    suffixes: tuple[str, ...]
+    words: str
+    read: Reader | None = None
+    write: Writer | None = None
+
+
+FORMATS = (
+    CloudFormat(suffixes=(".ply",), words="PLY, as text or binary", read=read_ply, write=write_ply),
+    CloudFormat(suffixes=(".pcd",), words="PCD, as text, binary or compressed", read=read_pcd),
+    CloudFormat(suffixes=(".npz",), words="NumPy arrays, nothing rounded", read=read_npz, write=write_npz),
+)
+
+READERS = {suffix: row.read for row in FORMATS if row.read is not None for suffix in row.suffixes}
+WRITERS = {suffix: row.write for row in FORMATS if row.write is not None for suffix in row.suffixes}
+
+CLOUD_SUFFIXES = tuple(READERS)
+"""What the names of clouds that can be read end in."""
+
+
+def alternatives(suffixes: Iterable[str]) -> str:
+    """Suffixes in words, such as ".ply, .pcd or .npz"."""
+    *others, last = suffixes
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def formats_in_words() -> str:
+    """All formats that can be read, such as ".ply (PLY, as text or binary), .pcd (...)"."""
+    return ", ".join(f"{alternatives(row.suffixes)} ({row.words})" for row in FORMATS if row.read is not None)
