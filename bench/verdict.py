@@ -7,12 +7,11 @@ Every case of ``cases.py`` is registered with effort "balanced". The weights of 
 those of a conditional logit over the candidates of every case, by maximum likelihood, held by a ridge to weights that
 were set by hand. For the figures a scene is left out in turn: the weights are fitted to the cases that have nothing to
 do with it and judged on the rest.
-Written: bench/results/verdict.json, docs/verdict.png and the table in README.md.
+Written: bench/results/verdict.json, docs/verdict.png and docs/benchmarks/verdict.md.
 """
 
 from __future__ import annotations
 
-import argparse
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
@@ -21,8 +20,7 @@ from typing import Any, NamedTuple
 
 import torch
 from cases import Case, cases
-from common import REAL, ROOT, in_words, machine, save, table
-from readme import put_into_readme
+from common import DOCS, bench_parser, in_words, listed_pairs, machine, publish, save, table
 from torch import Tensor
 
 import torchreg as tr
@@ -37,7 +35,7 @@ ROTATION_BOUND, TRANSLATION_VOXELS = 15.0, 6.0
 WORKERS = 2
 
 
-class Seen(NamedTuple):
+class CaseTerms(NamedTuple):
     """The candidates of one case: their terms (H, D) and which of them are right (H,)."""
 
     name: str
@@ -47,30 +45,30 @@ class Seen(NamedTuple):
     right: Tensor
 
 
-def look(case: Case) -> Seen:
-    """Register one case."""
+def candidates_of(case: Case) -> CaseTerms:
+    """Register one case, and keep the terms of its candidates."""
     options = scaled_options(case.voxel, colored=case.source.colors is not None)
-    found = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
+    candidates = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
 
     def column(name: str) -> Tensor:
-        return torch.tensor([getattr(candidate, name) for candidate in found], dtype=torch.float64)
+        return torch.tensor([getattr(candidate, name) for candidate in candidates], dtype=torch.float64)
 
-    seen = Evidence(*map(column, Evidence._fields))
-    right = torch.zeros(len(found), dtype=torch.bool)
-    if case.truth is not None and found:
-        T = torch.stack([candidate.T_target_source for candidate in found])
+    evidence = Evidence(*map(column, Evidence._fields))
+    right = torch.zeros(len(candidates), dtype=torch.bool)
+    if case.truth is not None and candidates:
+        T = torch.stack([candidate.T_target_source for candidate in candidates])
         right = metrics.rre(case.truth, T) < ROTATION_BOUND
         right &= metrics.rte(case.truth, T) < TRANSLATION_VOXELS * case.voxel
-    return Seen(case.name, case.kind, case.scenes, terms(seen, column("surprise")), right)
+    return CaseTerms(case.name, case.kind, case.scenes, terms(evidence, column("surprise")), right)
 
 
-def share_of(part: int) -> list[Seen]:
+def share_of(part: int) -> list[CaseTerms]:
     """Every ``WORKERS``-th case from ``part`` on."""
     torch.set_num_threads(1)
-    return [look(case) for number, case in enumerate(cases()) if number % WORKERS == part]
+    return [candidates_of(case) for number, case in enumerate(cases()) if number % WORKERS == part]
 
 
-def fit(seen: list[Seen]) -> Tensor:
+def fit(seen: list[CaseTerms]) -> Tensor:
     """Weights (D,) by maximum likelihood, held to the prior by the ridge."""
     prior = torch.tensor(list(PRIOR.values()), dtype=torch.float64)
     most = max(len(case.terms) for case in seen)
@@ -108,7 +106,7 @@ class Judged(NamedTuple):
     success: bool
 
 
-def judge(case: Seen, weights: Tensor) -> Judged:
+def judge(case: CaseTerms, weights: Tensor) -> Judged:
     if len(case.terms) == 0:
         return Judged(*case[:3], 0.0, False, False)
     odds, order = (case.terms @ weights).sort(descending=True)
@@ -116,13 +114,13 @@ def judge(case: Seen, weights: Tensor) -> Judged:
     return Judged(*case[:3], probability, bool(case.right[order[0]]), accepted(probability, odds))
 
 
-def cross_validated(seen: list[Seen]) -> list[Judged]:
+def cross_validated(seen: list[CaseTerms]) -> list[Judged]:
     """Every case judged by weights that know none of its scenes."""
-    found = []
+    judged = []
     for scenes in dict.fromkeys(case.scenes for case in seen):
         weights = fit([case for case in seen if not set(case.scenes) & set(scenes)])
-        found += [judge(case, weights) for case in seen if case.scenes == scenes]
-    return found
+        judged += [judge(case, weights) for case in seen if case.scenes == scenes]
+    return judged
 
 
 def summary(judged: list[Judged], kinds: tuple[str, ...]) -> dict[str, Any]:
@@ -185,11 +183,10 @@ def draw(judged: list[Judged], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = bench_parser(__doc__)
     parser.add_argument("--keep", type=Path, help="a file for the candidates of all cases")
     arguments = parser.parse_args()
-    if not REAL.exists():
-        raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
+    listed_pairs()
     if arguments.keep and arguments.keep.exists():
         seen = pickle.loads(arguments.keep.read_bytes())
     else:
@@ -219,7 +216,7 @@ def main() -> None:
             "cases": [case._asdict() for case in judged],
         },
     )
-    draw(judged, ROOT / "docs" / "verdict.png")
+    draw(judged, DOCS / "verdict.png")
     for name, weight, mean in zip(MODEL, weights.tolist(), typical.tolist(), strict=True):
         print(f'    "{name}": ({weight:.2f}, {mean:.2f}),')
     head = ["pairs", "right", "of them refused", "wrong", "of them called a success"]
@@ -235,7 +232,8 @@ def main() -> None:
     ]
     text = f"{table(head, rows)}\n\n{in_words(facts)}."
     print(text)
-    put_into_readme("verdict", text)
+    if not arguments.no_docs:
+        publish("verdict", text)
     for case in judged:
         if case.right != case.success:
             print(

@@ -12,13 +12,16 @@ import torchreg as tr
 from torchreg.benchmark.peers import METHODS
 from torchreg.cli import app as app_module
 
+UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|no unit|Where to compute"
 
-@pytest.mark.parametrize("name", ["field", "3dmatch"])
+
+@pytest.mark.parametrize("name", ["field", "3dmatch", "paper", "speed"])
 def test_every_option_names_its_unit(run, name):
     command = typer.main.get_command(app_module.app).commands["bench"].commands[name]
     for parameter in command.params:
         if parameter.name != "help":
-            assert re.search(r"meters|count|no unit|switch|name|path|without unit", parameter.help), parameter.name
+            switch = getattr(parameter, "is_flag", False)
+            assert switch or re.search(UNITS, f"{parameter.metavar} {parameter.help}"), parameter.name
     shown = run("bench", name, "--help").stdout
     assert "Exit code 0" in shown
 
@@ -37,11 +40,11 @@ def test_field(run, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert "Open3D RANSAC, 100,000" in result.stdout
-    assert "pair 2 of 2, pair_2" in result.stderr
+    assert "4 of 4: pair_2, torchreg, FPFH alone" in result.stderr
     text = (out / "field.md").read_text()
     assert "torchreg, FPFH alone (`fpfh`)" in text
     again = run("bench", "field", "--data", data, "--out", out, "--methods", "fpfh,open3d-100k", "--quick")
-    assert "pair 2 of 2" not in again.stderr
+    assert "pair_2" not in again.stderr
     assert (out / "field.md").read_text() == text
     unknown = run("bench", "field", "--data", data, "--out", out, "--methods", "best")
     assert unknown.exit_code == 2

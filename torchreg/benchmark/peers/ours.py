@@ -1,4 +1,4 @@
-"""This library's own ways: the default at every effort, the paper's rule, and FPFH alone."""
+"""torchreg: the default at every effort, the paper's preset, and FPFH alone."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torchreg as tr
-from torchreg.benchmark.peers.method import Answer, Matched, Method, Task
-from torchreg.registration.describe import downsample
+from torchreg.benchmark.peers.method import Answer, Method, PeerMatches, Task
 from torchreg.registration.scale import scaled_options
 
 Options = Callable[[Task], tr.RegistrationOptions]
@@ -18,7 +17,7 @@ def fpfh_alone(task: Task) -> tr.RegistrationOptions:
     return replace(scaled_options(task.voxel, colored=False), effort="plain", solver="ransac")
 
 
-def paper_rule(task: Task) -> tr.RegistrationOptions:
+def paper_preset(task: Task) -> tr.RegistrationOptions:
     """The paper's preset in its proportions 2 : 5 : 2 m at this voxel size, without PCFH where there is no color."""
     color = ("pcfh",) if _colored(task) else ()
     return replace(
@@ -40,19 +39,17 @@ def _method(name: str, title: str, statement: str, options: Options, effort: str
     def run(task: Task) -> Answer:
         source, target = task.source.to(task.device), task.target.to(task.device)
         result = tr.register(source, target, options(task), effort=effort, seed=task.seed)
-        # fast thins the clouds once more: its matches speak of those points
-        used = [downsample(cloud, result.options).to("cpu") for cloud in (source, target)]
         return Answer(
             T_target_source=result.T_target_source[0].cpu(),
             success=bool(result.success[0]),
-            matches=Matched(used[0], used[1], _on_cpu(result.correspondences)),
+            matches=PeerMatches(result.source.to("cpu"), result.target.to("cpu"), _on_cpu(result.correspondences)),
         )
 
     return Method(name=name, title=title, statement=statement, run=run)
 
 
 def _on_cpu(matches: tr.Correspondences) -> tr.Correspondences:
-    return tr.Correspondences(matches.source.cpu(), matches.target.cpu(), matches.offsets.cpu(), matches.score.cpu())
+    return tr.Correspondences(matches.source.cpu(), matches.target.cpu(), matches.offsets, matches.score.cpu())
 
 
 def _colored(task: Task) -> bool:
@@ -61,7 +58,7 @@ def _colored(task: Task) -> bool:
 
 _EFFORT = "FPFH and color, compatibility graph, poses weighed on the clouds and refined by ICP"
 
-OURS = (
+METHODS = (
     _method("default", "torchreg, balanced (default)", f"{_EFFORT}.", _default, "balanced"),
     _method("fast", "torchreg, fast", f"{_EFFORT}; lengths half as large again.", _default, "fast"),
     _method("thorough", "torchreg, thorough", f"{_EFFORT}; also RANSAC of 600,000 hypotheses.", _default, "thorough"),
@@ -69,7 +66,7 @@ OURS = (
         "paper",
         "torchreg, the paper's preset",
         "FPFH + PCFH of hue equalized per cloud, RANSAC of at most 600,000 hypotheses, confidence 0.999.",
-        paper_rule,
+        paper_preset,
     ),
     _method(
         "fpfh",

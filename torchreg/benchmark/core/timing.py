@@ -17,15 +17,15 @@ def interleaved(
     A function whose counted runs have taken ``patience`` seconds is not run again. Where its warm-up alone took that
     long, the warm-up is what counts.
     """
-    found: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {}
     for name, run in runs.items():
         first = _seconds(run)
-        found[name] = [first] if first > patience else []
+        seconds[name] = [first] if first > patience else []
     for _ in range(repeats):
         for name, run in runs.items():
-            if sum(found[name]) < patience:
-                found[name].append(_seconds(run))
-    return found
+            if sum(seconds[name]) < patience:
+                seconds[name].append(_seconds(run))
+    return seconds
 
 
 def spread(seconds: Sequence[float]) -> str:

@@ -45,11 +45,11 @@ def bootstrap(
     """The percentile bootstrap: draw as many pairs with replacement, again and again.
 
     Efron, Bootstrap methods: another look at the jackknife, 1979, doi:10.1214/aos/1176344552. Where all pairs have
-    one value, the interval is that value: it says nothing of pairs of another kind.
+    one value, the interval is that value: which says nothing of pairs of another kind.
 
     Args:
-        values: one a pair, at least one.
-        statistic: what is made of them.
+        values: one per pair, at least one.
+        statistic: of the values.
         level: share of resamples within the interval, above 0 and below 1.
         resamples: how many are drawn.
         seed: of the draws; the same values, seed and level give the same interval.

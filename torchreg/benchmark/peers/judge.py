@@ -1,4 +1,4 @@
-"""One method on one pair: its answer against the truth, as plain numbers."""
+"""A method on a pair: its answer against the truth, as plain numbers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from torchreg import metrics
-from torchreg.benchmark.peers import Answer, Method, Task
-from torchreg.benchmark.peers.method import nothing_found
+from torchreg.benchmark.peers.method import Answer, Method, Task, no_pose
 
 
 def judged(
@@ -26,20 +25,20 @@ def judged(
         information: (6, 6) of the true matches, where it is known.
 
     Returns:
-        success (its own word), rre_deg, rte_m, rmse_m over the true matches (``None`` where the clouds do not
+        success (as the method calls it), rre_deg, rte_m, rmse_m over the true matches (``None`` where the clouds do not
         overlap), information_rmse_m (the same by the information matrix, or ``None``), inlier_ratio and matches
-        (``None`` where it does not tell), seconds from the clouds to the pose, error, the exception it ended with or
-        an empty text, and T (4 x 4).
+        (``None`` where the method does not return matches), seconds from the clouds to the pose, error (the exception
+        or an empty text), and T (4 x 4).
     """
     begin = time.perf_counter()
     error = ""
     try:
         answer = method.run(task)
-    except Exception as problem:  # a peer that fails has not found the pair, and the others go on
-        answer, error = nothing_found(), f"{type(problem).__name__}: {problem}"
+    except Exception as problem:  # a method that fails has not found the pair
+        answer, error = no_pose(), f"{type(problem).__name__}: {problem}"
     seconds = time.perf_counter() - begin
     if not bool(answer.T_target_source.isfinite().all()):
-        answer, error = nothing_found(answer.matches), "a transform that is not finite"
+        answer, error = no_pose(answer.matches), "a transform that is not finite"
     T = answer.T_target_source
     by_points = metrics.rmse_of_true_matches(task.source, task.target, T_true[None], T[None], near)
     by_information = None if information is None else metrics.rmse_by_information(T_true, T, information)

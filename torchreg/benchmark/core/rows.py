@@ -1,4 +1,4 @@
-"""What was measured, kept line by line as it comes, so that a run that was cut off goes on where it stopped."""
+"""Measurements kept line by line as they come, so that an unfinished run is resumed where it stopped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FILE = "rows.jsonl"
 
 
 class Rows:
-    """The measurements in a folder: a first line with what they depend on, then one a line.
+    """The measurements in a folder: a first line with what they depend on, then one per line.
 
     Args:
         folder: where ``rows.jsonl`` lies or will lie.
@@ -62,16 +62,16 @@ class Rows:
             os.fsync(file.fileno())
 
     def _read(self) -> list[dict[str, Any]]:
-        """All whole lines; what a killed process left of a last one is cut off."""
+        """All whole lines; the torn last line of a killed process is cut off."""
         content = self.path.read_bytes()
         whole = content[: content.rfind(b"\n") + 1]
         try:
-            found = [json.loads(line) for line in whole.splitlines()]
-            fits = all(isinstance(row, dict) for row in found) and all("key" in row for row in found[1:])
+            lines = [json.loads(line) for line in whole.splitlines()]
+            fits = all(isinstance(row, dict) for row in lines) and all("key" in row for row in lines[1:])
         except ValueError:
             fits = False
         if not fits:
             raise CloudFileError(f"{self.path}: expected measurements, one a line, got something else")
         if len(whole) < len(content):
             os.truncate(self.path, len(whole))
-        return found
+        return lines

@@ -9,11 +9,16 @@ from typing import NamedTuple
 
 
 class Table(NamedTuple):
-    """One table of texts, with what stands above it."""
+    """One table of texts, with its heading."""
 
     heading: str
     head: list[str]
     rows: list[list[str]]
+
+    @property
+    def section(self) -> str:
+        """A Markdown section: heading and table."""
+        return f"## {self.heading}\n\n{markdown_table(self.head, self.rows)}"
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
