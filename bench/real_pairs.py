@@ -47,7 +47,7 @@ def main() -> None:
     if names is None and not arguments.no_docs:
         gaps = "".join(f" {METHODS[name].title}: {why}." for name, why in comparison.gaps.items())
         publish("real pairs", f"{text}\n\n{in_words(content['machine'])}.{gaps}")
-        publish("five methods", readme_table(comparison))
+        publish("five methods", f"{readme_table(comparison)}\n\n{in_words(content['machine'])}.")
 
 
 def readme_table(comparison: Comparison) -> str:
@@ -63,9 +63,11 @@ def readme_table(comparison: Comparison) -> str:
                 "-" if cell.rre_deg is None else f"{cell.rre_deg.value:.2f} deg, {cell.rte_m.value:.3f} m",
                 f"{cell.seconds.value:.2f} s",
                 str(cell.wrong_called_right),
+                str(cell.right_refused),
             ]
         )
-    head = ["method", "pairs found", "right matches", "median errors", "median time", "wrong, called right"]
+    head = ["method", "pairs found", "right matches", "median errors", "median time"]
+    head += ["wrong, called right", "right, refused"]
     return table(head, rows)
 
 
