@@ -20,7 +20,7 @@ from torchreg.benchmark.field.document import tables
 from torchreg.benchmark.field.study import field_study
 from torchreg.benchmark.field.summary import summarize
 from torchreg.benchmark.peers import METHODS
-from torchreg.benchmark.peers.comparison import Comparison
+from torchreg.benchmark.peers.comparison import MethodComparison
 
 OUT = ROOT / "build" / "field"
 PAGE_TABLES = ("All pairs", "Registration recall by errors")
@@ -41,7 +41,7 @@ def main() -> None:
             shutil.copy(OUT / "field.json", RESULTS / "field.json")
     content = json.loads(((RESULTS if arguments.saved else OUT) / "field.json").read_text())
     methods = [METHODS[name] for name in content["run"]["methods"]]
-    comparison = Comparison(content["rows"], methods, content["gaps"], content["run"]["seed"])
+    comparison = MethodComparison(content["rows"], methods, content["gaps"], content["run"]["seed"])
     text = "\n\n".join(table(one.head, one.rows) for one in tables(comparison) if one.heading in PAGE_TABLES)
     print(text)
     if names is None and not arguments.no_docs:
@@ -50,7 +50,7 @@ def main() -> None:
         publish("five methods", f"{readme_table(comparison)}\n\n{in_words(content['machine'])}.")
 
 
-def readme_table(comparison: Comparison) -> str:
+def readme_table(comparison: MethodComparison) -> str:
     """Five methods by what matters most."""
     rows = []
     for name in README_METHODS:

@@ -16,7 +16,7 @@ from torchreg.benchmark.core.study import run_study
 from torchreg.benchmark.field.document import csv_text, tables
 from torchreg.benchmark.field.study import chosen_pairs, field_study
 from torchreg.benchmark.field.summary import difference, groups, summarize
-from torchreg.benchmark.peers.comparison import Comparison
+from torchreg.benchmark.peers.comparison import MethodComparison
 from torchreg.geometry.se3 import rigid
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -155,7 +155,7 @@ def test_scenes_and_quick_runs(data):
 
 def test_the_same_rows_the_same_tables():
     methods = (posing("a", lambda _: torch.eye(4)),)
-    one, other = (Comparison(ROWS, methods, {}, seed=seed) for seed in (0, 0))
+    one, other = (MethodComparison(ROWS, methods, {}, seed=seed) for seed in (0, 0))
     assert tables(one) == tables(other)
     assert csv_text(one) == csv_text(other)
 

@@ -23,7 +23,12 @@ bench = typer.Typer(
 )
 
 Out = Annotated[
-    Path, typer.Option("--out", metavar="FOLDER", help="Folder of all results. An unfinished run there is resumed.")
+    Path,
+    typer.Option(
+        "--out",
+        metavar="FOLDER",
+        help="Folder of all results: NAME.md, CSV, NAME.json, pictures. An unfinished run there is resumed.",
+    ),
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="A small part, to see within seconds how it works.")]
 Methods = Annotated[

@@ -53,7 +53,7 @@ def read_real_pairs(path: str | os.PathLike[str]) -> tuple[RealPair, ...]:
         path: the list, or a folder with a ``pairs.json``: under ``pairs`` objects with ``name``, ``scene``, ``source``
             and ``target`` (files beside the list), ``T`` (4x4, maps source points into the target's frame, meters),
             ``voxel_m`` and ``overlap``; where it is to be known, ``colour`` (true or false) and ``kind`` (a text with
-            the word "outdoor" or not); others are not looked at.
+            the word "outdoor" or not); others are not read.
 
     Raises:
         CloudFileError: no list, one that cannot be read, or one without pairs; the message names the file.
@@ -69,7 +69,7 @@ def read_real_pairs(path: str | os.PathLike[str]) -> tuple[RealPair, ...]:
     names = [pair.name for pair in pairs]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise CloudFileError(f"{file}: expected a name of its own for every pair, got {twice!r} twice")
+        raise CloudFileError(f"{file}: expected a different name for every pair, got {twice!r} twice")
     if not pairs:
         raise CloudFileError(f"{expected}, got none")
     return pairs

@@ -6,7 +6,7 @@ from torchreg.benchmark.core.bootstrap import Interval
 from torchreg.benchmark.core.tables import Table, csv_table
 from torchreg.benchmark.field import summary
 from torchreg.benchmark.field.summary import FieldCell, difference, groups, summarize
-from torchreg.benchmark.peers.comparison import Comparison
+from torchreg.benchmark.peers.comparison import MethodComparison
 
 BASE = "default"
 """The method that others are set against, pair by pair."""
@@ -15,7 +15,7 @@ _MEASURES = ("recall", "recall_rmse", "match_recall", "inlier_ratio", "rre_deg",
 _COUNTS = ("wrong_called_right", "right_refused", "errors")
 
 
-def tables(comparison: Comparison) -> list[Table]:
+def tables(comparison: MethodComparison) -> list[Table]:
     """All pairs by every measure, every measure by scene and by overlap, and pair by pair against the default."""
     cells = _cells(comparison)
     made = [_overall(comparison, cells)]
@@ -34,7 +34,7 @@ def tables(comparison: Comparison) -> list[Table]:
     return made
 
 
-def csv_text(comparison: Comparison) -> str:
+def csv_text(comparison: MethodComparison) -> str:
     """One line a group, method and measure, with its interval; counts have none."""
     head = ["group", "method", "measure", "pairs", "value", "low", "high"]
     lines: list[list[object]] = []
@@ -61,7 +61,7 @@ CAPTION = (
 )
 
 
-def _cells(comparison: Comparison) -> dict[tuple[str, str], FieldCell]:
+def _cells(comparison: MethodComparison) -> dict[tuple[str, str], FieldCell]:
     cells = {}
     for group, belongs in groups(comparison.rows):
         for method in comparison.methods:
@@ -71,7 +71,7 @@ def _cells(comparison: Comparison) -> dict[tuple[str, str], FieldCell]:
     return cells
 
 
-def _overall(comparison: Comparison, cells: dict[tuple[str, str], FieldCell]) -> Table:
+def _overall(comparison: MethodComparison, cells: dict[tuple[str, str], FieldCell]) -> Table:
     head = ["method", "pairs", "recall (errors)", "recall (RMSE)", "feature-match recall", "inlier ratio"]
     head += ["RRE (deg)", "RTE (m)", "seconds", "wrong, called right", "right, refused", "ended with an error"]
     rows = []
@@ -86,7 +86,9 @@ def _overall(comparison: Comparison, cells: dict[tuple[str, str], FieldCell]) ->
     return Table("All pairs", head, rows)
 
 
-def _by_group(comparison: Comparison, cells: dict[tuple[str, str], FieldCell], measure: str, heading: str) -> Table:
+def _by_group(
+    comparison: MethodComparison, cells: dict[tuple[str, str], FieldCell], measure: str, heading: str
+) -> Table:
     parts = [group for group, _ in groups(comparison.rows)]
     sizes = {
         group: max((cells[group, m.name].pairs for m in comparison.methods if (group, m.name) in cells), default=0)
@@ -103,7 +105,7 @@ def _by_group(comparison: Comparison, cells: dict[tuple[str, str], FieldCell], m
     return Table(heading, ["method", *(f"{group} ({sizes[group]})" for group in parts)], rows)
 
 
-def _differences(comparison: Comparison) -> Table:
+def _differences(comparison: MethodComparison) -> Table:
     base = [row for row in comparison.rows if row["method"] == BASE]
     title = next((method.title for method in comparison.methods if method.name == BASE), BASE)
     rows = []

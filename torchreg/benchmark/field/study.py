@@ -35,7 +35,7 @@ def field_study(
 
     Raises:
         CloudFileError: the list cannot be read.
-        ValueError: a scene or a method that is not there.
+        ValueError: an unknown scene or method.
     """
     pairs = chosen_pairs(data, scenes, quick=quick)
     return comparison_study(

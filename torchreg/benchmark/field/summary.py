@@ -128,5 +128,5 @@ def _of_overlap(low: float, high: float) -> Callable[[Row], bool]:
 
 
 def _known(values: Iterable[float | None], statistic: Callable[[Any], Any], seed: int) -> Interval | None:
-    there = [float(value) for value in values if value is not None]
-    return bootstrap(there, statistic, seed=seed) if there else None
+    known = [float(value) for value in values if value is not None]
+    return bootstrap(known, statistic, seed=seed) if known else None

@@ -11,7 +11,7 @@ import numpy as np
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.paper.measure import SPANS, TIMED
 from torchreg.benchmark.paper.methods import METHODS
-from torchreg.benchmark.paper.places import Group
+from torchreg.benchmark.paper.places import PlaceGroup
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.settings import settings_of
 from torchreg.benchmark.paper.tables import LABELS
@@ -29,7 +29,7 @@ _BAR = 0.8 / len(METHODS)
 _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
-def errors_chart(experiment: int, groups: Sequence[Group], rows: Sequence[Row]) -> Figure:
+def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[Row]) -> Figure:
     """RRE, RTE and RMSE of one experiment: a row of panels for each group of places.
 
     Args:

@@ -165,7 +165,7 @@ def _from_points(cloud: Clouds, options: RegistrationOptions) -> Features:
 
 
 def _finished(run: Callable[[], Any], device: torch.device) -> None:
-    """Run, and wait for the device where it works on its own."""
+    """Run, and wait for a device that works beside the processor."""
     run()
     if device.type == "cuda":
         torch.cuda.synchronize(device)

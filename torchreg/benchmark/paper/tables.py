@@ -11,7 +11,7 @@ from torchreg.benchmark.core.tables import Table
 from torchreg.benchmark.core.timing import spread
 from torchreg.benchmark.paper.measure import SPANS, TIMED
 from torchreg.benchmark.paper.methods import METHODS, SHORT, TITLES
-from torchreg.benchmark.paper.places import Group
+from torchreg.benchmark.paper.places import PlaceGroup
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.settings import TABLES, settings_of
 
@@ -91,7 +91,7 @@ def spread_of(values: Sequence[float]) -> Spread:
     return Spread(mean(values), deviation, median(values), min(values), max(values))
 
 
-def error_table(experiment: int, group: Group, cells: Cells, part: str = "") -> Table:
+def error_table(experiment: int, group: PlaceGroup, cells: Cells, part: str = "") -> Table:
     """The paper's table of one experiment, its numbers beside ours on one group of places.
 
     Args:
@@ -118,7 +118,7 @@ def error_table(experiment: int, group: Group, cells: Cells, part: str = "") -> 
     return Table(heading, head, rows)
 
 
-def overview_table(groups: Sequence[Group], cells: Cells) -> Table:
+def overview_table(groups: Sequence[PlaceGroup], cells: Cells) -> Table:
     """The paper's RMSE of every setting, and below it, for each group, pairs found and median RMSE in meters."""
     rows = []
     for experiment in TABLES:
@@ -173,7 +173,7 @@ def number(value: float) -> str:
     return f"{value:.3f}" if abs(value) < 10 else f"{value:.1f}"
 
 
-def _block(experiment: int, method: str, settings: Sequence[str], group: Group, cells: Cells) -> list[list[str]]:
+def _block(experiment: int, method: str, settings: Sequence[str], group: PlaceGroup, cells: Cells) -> list[list[str]]:
     """The lines of one method: a label, then one text per setting."""
     printed = [ERRORS.get((experiment, name, method)) for name in settings]
     ours = [cells.get((experiment, name, group.name, method)) for name in settings]

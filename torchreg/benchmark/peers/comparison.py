@@ -44,7 +44,7 @@ class TruePair:
     information: Tensor | None = None
 
 
-class Comparison(NamedTuple):
+class MethodComparison(NamedTuple):
     """The methods of a study, and its rows.
 
     Attributes:
@@ -75,9 +75,9 @@ def comparison_study(
     settings: Mapping[str, Any],
     *,
     title: str,
-    caption: Callable[[Comparison], str],
-    tables: Callable[[Comparison], list[Table]],
-    csv: Callable[[Comparison], str],
+    caption: Callable[[MethodComparison], str],
+    tables: Callable[[MethodComparison], list[Table]],
+    csv: Callable[[MethodComparison], str],
     shown: int,
     seed: int,
     device: str,
@@ -104,10 +104,10 @@ def comparison_study(
     """
     chosen = chosen_methods(methods, quick=quick)
     gaps = {method.name: why for method in chosen if (why := method.gap())}
-    comparison = Comparison((), chosen, gaps, seed)
+    comparison = MethodComparison((), chosen, gaps, seed)
     measure = _measurement(pairs, seed, device)
 
-    def of(rows: list[Row]) -> Comparison:
+    def of(rows: list[Row]) -> MethodComparison:
         return comparison._replace(rows=rows)
 
     def document(rows: list[Row], _: Sequence[Picture], machine: str) -> str:
@@ -137,10 +137,10 @@ def comparison_study(
 
 
 def chosen_scenes(scenes: Sequence[str] | None, known: Sequence[str]) -> Sequence[str]:
-    """The scenes to measure out of those that are there; ``None`` takes all.
+    """The scenes to measure out of the known ones; ``None`` takes all.
 
     Raises:
-        ValueError: none, or one that is not there.
+        ValueError: none, or an unknown one.
     """
     if scenes is None:
         return known
@@ -185,7 +185,7 @@ def _few_points(task: Task) -> Task:
     return replace(task, source=source, target=target, voxel=voxel)
 
 
-def _methods_and_gaps(comparison: Comparison) -> list[str]:
+def _methods_and_gaps(comparison: MethodComparison) -> list[str]:
     """Sections with a line for every method, and one for each that could not run or cannot be had."""
     methods, gaps = comparison.methods, comparison.gaps
     statements = [f"- {method.title} (`{method.name}`): {method.statement}" for method in methods]

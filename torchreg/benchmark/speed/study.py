@@ -96,8 +96,7 @@ def _counts_peaks() -> bool:
 
 
 def _peak_bytes(key: str, method: str, threads: int) -> int:
-    """Bytes above what the process held before, in the first run of a cell of the full grid, in a process of
-    its own.
+    """Bytes above what the process held before, in the first run of a cell of the full grid, in another process.
 
     Raises:
         CalledProcessError: the process failed.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from torchreg.benchmark.core.tables import Table, csv_table
-from torchreg.benchmark.peers.comparison import Comparison
+from torchreg.benchmark.peers.comparison import MethodComparison
 from torchreg.benchmark.peers.method import Method
 from torchreg.benchmark.threedmatch import protocol
 from torchreg.benchmark.threedmatch.protocol import SceneScore, counts, mean_score, pooled_recall, score
@@ -32,7 +32,7 @@ _MEASURES = (
 )
 
 
-def tables(comparison: Comparison) -> list[Table]:
+def tables(comparison: MethodComparison) -> list[Table]:
     """Registration recall, feature-match recall, inlier ratio, errors and seconds."""
     scenes = list(dict.fromkeys(row["scene"] for row in comparison.rows))
     scores = {method.name: _scores(comparison, method, scenes) for method in comparison.methods}
@@ -54,7 +54,7 @@ def tables(comparison: Comparison) -> list[Table]:
     return made
 
 
-def csv_text(comparison: Comparison) -> str:
+def csv_text(comparison: MethodComparison) -> str:
     """One line a scene (or "mean"), method and measure."""
     scenes = list(dict.fromkeys(row["scene"] for row in comparison.rows))
     lines: list[list[object]] = []
@@ -68,7 +68,7 @@ def csv_text(comparison: Comparison) -> str:
     return csv_table(["scene", "method", "measure", "value"], lines)
 
 
-def caption(comparison: Comparison, voxel: float) -> str:
+def caption(comparison: MethodComparison, voxel: float) -> str:
     """What stands above the tables; ``voxel`` in meters."""
     by_points = any(row["information_rmse_m"] is None for row in comparison.rows)
     parts = [
@@ -88,16 +88,16 @@ def caption(comparison: Comparison, voxel: float) -> str:
     return "\n\n".join(parts)
 
 
-def _scores(comparison: Comparison, method: Method, scenes: Sequence[str]) -> dict[str, SceneScore]:
+def _scores(comparison: MethodComparison, method: Method, scenes: Sequence[str]) -> dict[str, SceneScore]:
     by_scene = {scene: [row for row in comparison.of(method) if row["scene"] == scene] for scene in scenes}
     return {scene: score(rows) for scene, rows in by_scene.items() if rows}
 
 
-def _size(comparison: Comparison, scene: str, counted: bool) -> int:
+def _size(comparison: MethodComparison, scene: str, counted: bool) -> int:
     return len({row["pair"] for row in comparison.rows if row["scene"] == scene and (counts(row) or not counted)})
 
 
-def _pooled(comparison: Comparison, method: Method) -> str:
+def _pooled(comparison: MethodComparison, method: Method) -> str:
     interval = pooled_recall(comparison.of(method), comparison.seed)
     return "-" if interval is None else f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
 

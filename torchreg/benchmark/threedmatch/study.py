@@ -42,7 +42,7 @@ def fragments_study(
 
     Raises:
         CloudFileError: what ``Fragments`` refuses.
-        ValueError: a scene or a method that is not there.
+        ValueError: an unknown scene or method.
     """
     dataset = Fragments(folder, log=log)
     return comparison_study(
