@@ -1,6 +1,6 @@
 """Batches: throughput against Open3D and against single calls, equal bits, and peak memory.
 
-    python bench/batch.py                 writes bench/results/batch.json and the tables in README.md
+    python bench/batch.py                 writes bench/results/batch.json and docs/benchmarks/batch.md
 
 *Mixed*: 64 pairs made of the colored real ones, thinned by voxels to 200 to 20,000 points (evenly in the logarithm);
 lengths derived from each pair. torchreg registers them in one call, Open3D one after another, both with two threads,
@@ -12,10 +12,8 @@ hold. Medians of the runs after a warm-up on some of the pairs.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,8 +23,20 @@ from statistics import median
 from typing import Any
 
 import torch
-from common import REAL, RESULTS, in_words, interleaved, machine, save, spread, table
-from readme import put_into_readme
+from common import (
+    REAL,
+    RESULTS,
+    bench_parser,
+    in_words,
+    interleaved,
+    listed_pairs,
+    machine,
+    peak_bytes,
+    publish,
+    save,
+    spread,
+    table,
+)
 from torch import Tensor
 
 import torchreg as tr
@@ -34,23 +44,10 @@ import torchreg as tr
 MIXED, SMALL, SMALL_POINTS, MALLS = 64, 256, 1000, 16
 SIZES = (200, 20_000)
 
-MEMORY = """
-import json, sys, torch
-import torchreg as tr
-from torchreg.open3d_loader import load_open3d
-from torchreg.registration import describe_clouds
-from torchreg.registration import options_for
-load_open3d()
-def status(name):
-    return [int(line.split()[1]) * 1024 for line in open('/proc/self/status') if line.startswith(name)][0]
-{make}
-open('/proc/self/clear_refs', 'w').write('5')  # the peak counts from here
-before = status('VmRSS')
-{work}
-print(json.dumps(status('VmHWM') - before))
-"""
 MILLION = """
 from dataclasses import replace
+from torchreg.registration import describe_clouds
+from torchreg.registration import options_for
 pair = tr.datasets.mall(seed=0, angular_step=0.2)
 clouds = [tr.random_downsample(cloud, 1_000_000) for cloud in (pair.source, pair.target)]
 assert all(len(cloud.points) == 1_000_000 for cloud in clouds)
@@ -78,8 +75,7 @@ PEAKS = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--no-readme", action="store_true", help="leave README.md as it is")
+    parser = bench_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=3, help="counted runs of each")
     parser.add_argument("--only", choices=("mixed", "small", "memory"), help="one part; the others stay as they are")
     arguments = parser.parse_args()
@@ -92,10 +88,8 @@ def main() -> None:
             content[name] = {"machine": facts, **figures, "text": f"{text}\n\n{in_words(facts)}."}
             print(content[name]["text"], flush=True)
             save("batch", content)
-    if not arguments.no_readme:
-        put_into_readme(
-            "batch", "\n\n".join(content[name]["text"] for name in ("mixed", "small", "memory") if name in content)
-        )
+    if not arguments.no_docs:
+        publish("batch", "\n\n".join(content[name]["text"] for name in ("mixed", "small", "memory") if name in content))
 
 
 def mixed(repeats: int) -> tuple[dict[str, Any], str]:
@@ -132,9 +126,9 @@ def mixed(repeats: int) -> tuple[dict[str, Any], str]:
     early, late = (median(seconds[f"Open3D, {shared}, {words}"]) for words in ("confidence 0.999", "all"))
     rows = []
     for name, spent in seconds.items():
-        own = median(spent)
-        ratios = [f"{other / own:.1f}" for other in (early, late)]
-        rows.append([name.strip(), spread(spent), f"{MIXED / own:.2f}", *ratios, str(found[name])])
+        typical = median(spent)
+        ratios = [f"{other / typical:.1f}" for other in (early, late)]
+        rows.append([name.strip(), spread(spent), f"{MIXED / typical:.2f}", *ratios, str(found[name])])
     content = {"sizes": [source.lengths, target.lengths], "seconds": seconds, "found": found, "equal": equal}
     sizes = [*source.lengths, *target.lengths]
     head = [f"{MIXED} pairs, {min(sizes):,} to {max(sizes):,} points", "seconds", "pairs a second"]
@@ -184,20 +178,20 @@ class Files:
 def in_turn(runs: dict[str, Any], repeats: int) -> tuple[dict[str, list[float]], dict[str, Tensor]]:
     """Seconds of every run, in turn so that drift hits all alike, and the transforms of each."""
     seconds: dict[str, list[float]] = {name: [] for name in runs}
-    found = {}
+    transforms = {}
     for _ in range(repeats):
         for name, run in runs.items():
             begin = time.perf_counter()
             result = run()
             seconds[name].append(time.perf_counter() - begin)
-            found[name] = result if isinstance(result, Tensor) else result.T_target_source
+            transforms[name] = result if isinstance(result, Tensor) else result.T_target_source
             print(f"{name}: {seconds[name][-1]:.1f} s", file=sys.stderr, flush=True)
-    return seconds, found
+    return seconds, transforms
 
 
 def thinned_real() -> tuple[tuple[list[tr.Clouds], list[tr.Clouds]], list[Tensor]]:
     """The colored real pairs over and over, each time thinned to another size."""
-    listed = json.loads((REAL / "pairs.json").read_text())["pairs"]
+    listed = listed_pairs()
     clouds = {file: tr.read_cloud(REAL / file) for pair in listed for file in (pair["source"], pair["target"])}
     ratio = math.log(SIZES[1] / SIZES[0])
     sizes = [round(SIZES[0] * math.exp(ratio * k / (MIXED - 1))) for k in range(MIXED)]
@@ -221,12 +215,12 @@ def voxel_for(cloud: tr.Clouds, size: int) -> float:
     return high
 
 
-def count_found(found: Tensor, truths: list[Tensor], options: tuple[tr.RegistrationOptions, ...]) -> int:
+def count_found(poses: Tensor, truths: list[Tensor], options: tuple[tr.RegistrationOptions, ...]) -> int:
     """Pairs within 15 degrees and four inlier thresholds of the truth."""
     T = torch.stack(truths)
-    near = tr.metrics.rte(T, found)
+    near = tr.metrics.rte(T, poses)
     bounds = torch.tensor([4 * option.ransac.inlier_threshold for option in options], dtype=torch.float64)
-    return int(((tr.metrics.rre(T, found) < 15) & (near < bounds)).sum())
+    return int(((tr.metrics.rre(T, poses) < 15) & (near < bounds)).sum())
 
 
 def small(repeats: int) -> tuple[dict[str, Any], str]:
@@ -251,16 +245,9 @@ def small(repeats: int) -> tuple[dict[str, Any], str]:
 
 def memory(repeats: int) -> tuple[dict[str, Any], str]:
     """The highest of the peaks of ``repeats`` processes of their own."""
-    found = {}
-    for name, (make, work) in PEAKS.items():
-        code = MEMORY.format(make=make, work=work)
-        peaks = []
-        for _ in range(repeats):
-            done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-            peaks.append(json.loads(done.stdout.strip().splitlines()[-1]))
-        found[name] = peaks
-    rows = [[name, f"{max(peaks) / 2**30:.2f} GiB"] for name, peaks in found.items()]
-    return found, table(["peak memory, above imports and clouds", ""], rows)
+    peaks = {name: [peak_bytes(*code)["bytes"] for _ in range(repeats)] for name, code in PEAKS.items()}
+    rows = [[name, f"{max(several) / 2**30:.2f} GiB"] for name, several in peaks.items()]
+    return peaks, table(["peak memory, above imports and clouds", ""], rows)
 
 
 def scans() -> tuple[list[tr.Clouds], list[tr.Clouds]]:

@@ -7,14 +7,13 @@ one cloud, a gap between them and the source turned at random.
 
 from __future__ import annotations
 
-import json
 import random
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import torch
-from common import REAL
+from common import REAL, listed_pairs
 from torch import Tensor
 
 import torchreg as tr
@@ -38,7 +37,7 @@ class Case(NamedTuple):
 
 def cases() -> Iterator[Case]:
     """All cases, the same every time."""
-    listed = json.loads((REAL / "pairs.json").read_text())["pairs"]
+    listed = listed_pairs()
     voxels = {pair[side]: pair["voxel_m"] for pair in listed for side in ("source", "target")}
     clouds = {file: tr.voxel_downsample(tr.read_cloud(REAL / file), voxel) for file, voxel in sorted(voxels.items())}
     yield from _overlapping(listed, clouds)

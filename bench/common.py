@@ -1,20 +1,63 @@
-"""What the benchmarks share: the folders, results as JSON, and what ``torchreg.benchmark`` measures with."""
+"""What the benchmarks share: folders, results as JSON, tables into the documents, peak memory, the real pairs."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchreg.benchmark.machine import in_words, machine
-from torchreg.benchmark.tables import markdown_table as table
-from torchreg.benchmark.timing import interleaved, spread
+from torchreg.benchmark.core.machine import in_words, machine
+from torchreg.benchmark.core.tables import markdown_table as table
+from torchreg.benchmark.core.timing import interleaved, spread
 
-__all__ = ["REAL", "RESULTS", "ROOT", "in_words", "interleaved", "machine", "save", "spread", "table"]
+__all__ = [
+    "DOCS",
+    "REAL",
+    "RESULTS",
+    "ROOT",
+    "bench_parser",
+    "in_words",
+    "interleaved",
+    "listed_pairs",
+    "machine",
+    "peak_bytes",
+    "publish",
+    "run_python",
+    "save",
+    "spread",
+    "table",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
 RESULTS = ROOT / "bench" / "results"
 REAL = ROOT.parent / "shared" / "data" / "real"
+
+_PEAK = """
+import json
+import torch
+import torchreg as tr
+from torchreg.open3d_loader import load_open3d
+load_open3d()
+def status(name):
+    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith(name))
+{make}
+open("/proc/self/clear_refs", "w").write("5")  # the peak counts from here
+before = status("VmRSS")
+{work}
+print(json.dumps({{"bytes": status("VmHWM") - before, **globals().get("more", {{}})}}))
+"""
+
+
+def bench_parser(description: str | None) -> argparse.ArgumentParser:
+    """The options of a benchmark: its docstring as help, and --no-docs."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--no-docs", action="store_true", help="leave the documents as they are")
+    return parser
 
 
 def save(name: str, content: dict[str, Any]) -> Path:
@@ -23,3 +66,42 @@ def save(name: str, content: dict[str, Any]) -> Path:
     path = RESULTS / f"{name}.json"
     path.write_text(json.dumps(content, indent=1) + "\n")
     return path
+
+
+def publish(block: str, text: str) -> None:
+    """Replace what stands between ``<!-- begin: BLOCK -->`` and ``<!-- end: BLOCK -->``.
+
+    The block is in one of ``docs/benchmarks/*.md`` or in README.md, so that no number there is typed by hand.
+    """
+    begin, end = f"<!-- begin: {block} -->", f"<!-- end: {block} -->"
+    pages = [page for page in (ROOT / "README.md", *sorted(DOCS.glob("benchmarks/*.md"))) if begin in page.read_text()]
+    if len(pages) != 1 or pages[0].read_text().count(end) != 1:
+        raise SystemExit(f"expected one page with {begin} and {end}, got {len(pages)}")
+    before, rest = pages[0].read_text().split(begin)
+    pages[0].write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
+
+
+def listed_pairs() -> Sequence[dict[str, Any]]:
+    """The real pairs beside the checkout, as their list has them."""
+    if not REAL.exists():
+        raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
+    return json.loads((REAL / "pairs.json").read_text())["pairs"]
+
+
+def run_python(*arguments: str) -> Any:  # noqa: ANN401
+    """The JSON that another Python process prints last."""
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def peak_bytes(make: str, work: str) -> dict[str, Any]:
+    """Peak memory of a piece of code in another process.
+
+    Args:
+        make: code that prepares; what it holds is not counted.
+        work: code that is measured. It may put further JSON values into a dict ``more``.
+
+    Returns:
+        ``bytes`` above what the process held before, and the values of ``more``.
+    """
+    return run_python("-c", _PEAK.format(make=make, work=work))

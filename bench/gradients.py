@@ -1,6 +1,6 @@
 """What gradients cost: soft descriptors, forward and backward, against hard ones.
 
-    python bench/gradients.py             writes bench/results/gradients.json and the table in README.md
+    python bench/gradients.py             writes bench/results/gradients.json and docs/benchmarks/gradients.md
 
 10,000 points of the simulated mall with 100 neighbors each (FPFH) and those within 2 of 5 radii (PCFH), neighborhoods
 at hand, gradients to points, normals and colors. Medians of repeated runs in turn after a warm-up. Peak memory in
@@ -11,15 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from statistics import median
 from typing import Any
 
 import torch
-from common import in_words, interleaved, machine, save, spread, table
-from readme import put_into_readme
+from common import bench_parser, in_words, interleaved, machine, publish, run_python, save, spread, table
 
 import torchreg as tr
 from torchreg.descriptors.soft import rows as pieces
@@ -87,9 +84,8 @@ def peak(plain: bool) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = bench_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--no-readme", action="store_true", help="leave README.md as it is")
     parser.add_argument("--peak", choices=("pieces", "plain"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.peak:
@@ -101,14 +97,13 @@ def main() -> None:
         hard = median(seconds["hard"])
         content[name] = seconds
         for suffix in ("", ", compiled"):
-            own = [seconds[f"{kind}{suffix}"] for kind in made]
-            against = f"{median(own[2]) / hard:.1f}, {median(own[2]) / median(own[0]):.1f}"
-            lines.append([f"{name}{suffix}", *map(spread, own), against if suffix else f"{median(own[2]) / hard:.1f}"])
+            kinds = [seconds[f"{kind}{suffix}"] for kind in made]
+            against = f"{median(kinds[2]) / hard:.1f}, {median(kinds[2]) / median(kinds[0]):.1f}"
+            lines.append(
+                [f"{name}{suffix}", *map(spread, kinds), against if suffix else f"{median(kinds[2]) / hard:.1f}"]
+            )
             print(lines[-1], flush=True)
-    bytes_ = {}
-    for kind in ("pieces", "plain"):
-        done = subprocess.run([sys.executable, __file__, "--peak", kind], capture_output=True, text=True, check=True)
-        bytes_[kind] = json.loads(done.stdout.strip().splitlines()[-1])
+    bytes_ = {kind: run_python(__file__, "--peak", kind) for kind in ("pieces", "plain")}
     facts = machine()
     last = "forward and back / hard (compiled: eager hard, compiled hard)"
     head = ["10,000 points, 100 neighbors", "hard", "soft", "soft, forward and back", last]
@@ -120,8 +115,8 @@ def main() -> None:
     )
     print(text)
     save("gradients", {"machine": facts, "seconds": content, "bytes": bytes_, "text": text})
-    if not arguments.no_readme:
-        put_into_readme("gradients", text)
+    if not arguments.no_docs:
+        publish("gradients", text)
     return None
 
 

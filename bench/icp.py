@@ -1,7 +1,7 @@
 """ICP over 32 pairs against Open3D and small_gicp, pair by pair, in one process, the methods in turn.
 
-    python bench/icp.py                   writes bench/results/icp.json and the table in README.md
-    python bench/icp.py --no-readme --pairs 8
+    python bench/icp.py                   writes bench/results/icp.json and docs/benchmarks/icp.md
+    python bench/icp.py --no-docs --pairs 8
 
 Real pairs where they are beside the checkout (voxels v of each pair's ``voxel_m``), else stations of the simulated
 mall; starts are the truth, turned by 2 degrees and shifted by v / 2. Correspondences within 1.5 v, at most 30 updates,
@@ -11,8 +11,6 @@ Open3D's rule to stop. small_gicp (Levenberg-Marquardt, normals of its own, made
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,8 +18,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import torch
-from common import REAL, in_words, interleaved, machine, save, spread, table
-from readme import put_into_readme
+from common import REAL, bench_parser, in_words, interleaved, listed_pairs, machine, publish, save, spread, table
 from torch import Tensor
 
 import torchreg as tr
@@ -73,12 +70,12 @@ def starts(count: int) -> tuple[list[Start], str]:
                    tr.random_downsample(hall.target, 20_000).to(dtype=torch.float64),
                    hall.T_target_source.view(4, 4)) for hall in halls]  # fmt: skip
         return [made(*clouds[i % 4], 0.3, i) for i in range(count)], "pairs of the simulated mall"
-    listed = [pair for pair in json.loads((REAL / "pairs.json").read_text())["pairs"] if pair["colour"]]
-    found = []
+    listed = [pair for pair in listed_pairs() if pair["colour"]]
+    real = []
     for i, pair in enumerate(listed[:count]):
         sides = (tr.read_cloud(REAL / pair[side], dtype=torch.float64) for side in ("source", "target"))
-        found.append(made(*sides, torch.tensor(pair["T"], dtype=torch.float64), pair["voxel_m"], i))
-    return found, "real pairs"
+        real.append(made(*sides, torch.tensor(pair["T"], dtype=torch.float64), pair["voxel_m"], i))
+    return real, "real pairs"
 
 
 def torchreg_icp(pairs: list[Start], kind: str) -> Callable[[], IcpResult]:
@@ -131,35 +128,34 @@ def measured(pairs: list[Start], kind: str, repeats: int, threads: int) -> dict[
         runs["small_gicp"] = other
     result = ours()
     far = torch.stack([torch.from_numpy(one.transformation.copy()) for one in theirs()])
-    found: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "seconds": interleaved(runs, repeats),
         "difference_open3d": float((far - result.T_target_source).abs().max()),
         "updates": int(result.iterations.sum()),
         "converged": int(result.converged.sum()),
     }
     if other is not None:
-        found["updates_small_gicp"] = sum(one.iterations for one in other())
-    return found
+        figures["updates_small_gicp"] = sum(one.iterations for one in other())
+    return figures
 
 
-def row(kind: str, found: dict[str, Any]) -> list[str]:
-    seconds = found["seconds"]
+def row(kind: str, figures: dict[str, Any]) -> list[str]:
+    seconds = figures["seconds"]
     base = median(seconds["torchreg"])
     other = seconds.get("small_gicp")
     return [
-        f"{kind.replace('_', '-')}, {found['updates']} updates",
+        f"{kind.replace('_', '-')}, {figures['updates']} updates",
         spread(seconds["torchreg"]),
         spread(seconds["open3d"]),
         spread(other) if other else "-",
         f"{median(seconds['open3d']) / base:.2f}",
         f"{median(other) / base:.2f}" if other else "-",
-        f"{found['difference_open3d']:.0e}",
+        f"{figures['difference_open3d']:.0e}",
     ]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--no-readme", action="store_true", help="leave README.md as it is")
+    parser = bench_parser(__doc__)
     parser.add_argument("--pairs", type=int, default=32, help="how many pairs")
     parser.add_argument("--repeats", type=int, default=5, help="counted runs of each")
     arguments = parser.parse_args()
@@ -171,12 +167,12 @@ def main() -> None:
     kinds = [kind for kind in KINDS if kind != "colored" or all(p.source.colors is not None for p in pairs)]
     runs = {kind: measured(pairs, kind, arguments.repeats, threads) for kind in kinds}
     head = [f"{len(pairs)} {what}", *HEAD[1:]]
-    text = table(head, [row(kind, found) for kind, found in runs.items()])
+    text = table(head, [row(kind, figures) for kind, figures in runs.items()])
     facts = machine()
     print(text)
     save("icp", {"machine": facts, "pairs": len(pairs), "what": what, "source_points": points, "runs": runs})
-    if not arguments.no_readme:
-        put_into_readme("icp", f"{text}\n\n{in_words(facts)}.")
+    if not arguments.no_docs:
+        publish("icp", f"{text}\n\n{in_words(facts)}.")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """How many wrong matches a solver bears: success and time over the outlier ratio, on problems of known truth.
 
-Run as ``python bench/outliers.py``; writes bench/results/outliers.json, docs/outliers.png and the tables in README.md.
+Run as ``python bench/outliers.py``; writes bench/results/outliers.json, docs/outliers.png
+and docs/benchmarks/outliers.md.
 The problems: points on the walls and the furniture of a room of 10 m, wrong matches between any two of them, noise
 of a third of the inlier threshold per coordinate. Every solver gets the same matches and the same threshold, and no
 descriptor. A problem is solved when the matched points are within the threshold of where the truth puts them, root
@@ -11,14 +12,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 from typing import Any
 
-import common
 import numpy as np
 import torch
-from outliers_figure import draw
-from readme import put_into_readme
+from common import DOCS, bench_parser, in_words, machine, publish, save, table
 from torch import Tensor
 
 import torchreg as tr
@@ -36,6 +36,14 @@ SECONDS = {2000: 4.0, 20_000: 3.0}
 
 LEAST = {"torchreg compatibility": 4}
 """Problems that are run in any case; two where nothing is said."""
+
+COLORS = {
+    "torchreg compatibility": "#0b6e4f",
+    "torchreg RANSAC": "#3d9be9",
+    "Open3D RANSAC": "#8a8a8a",
+    "KISS-Matcher": "#d1603d",
+}
+MARKS = {"torchreg compatibility": "o", "torchreg RANSAC": "s", "Open3D RANSAC": "^", "KISS-Matcher": "D"}
 
 Solver = Callable[[MatchProblem], Tensor]
 
@@ -55,7 +63,7 @@ def open3d_ransac(problem: MatchProblem) -> Tensor:
     registration = o3d.pipelines.registration
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(side.numpy())) for side in matched_points(problem)]
     rows = np.arange(len(problem.matches.source), dtype=np.int32)
-    said = registration.registration_ransac_based_on_correspondence(
+    result = registration.registration_ransac_based_on_correspondence(
         *clouds,
         o3d.utility.Vector2iVector(np.stack([rows, rows], axis=1)),
         THRESHOLD,
@@ -67,7 +75,7 @@ def open3d_ransac(problem: MatchProblem) -> Tensor:
         ],
         registration.RANSACConvergenceCriteria(600_000, 0.999),
     )
-    return torch.from_numpy(np.array(said.transformation))[None]
+    return torch.from_numpy(np.array(result.transformation))[None]
 
 
 def kiss_matcher(problem: MatchProblem) -> Tensor:
@@ -81,7 +89,7 @@ def matched_points(problem: MatchProblem) -> tuple[Tensor, Tensor]:
 
 def solvers() -> tuple[dict[str, Solver], dict[str, str]]:
     """Solvers by name, and why others are left out."""
-    found: dict[str, Solver] = {
+    by_name: dict[str, Solver] = {
         "torchreg compatibility": torchreg_compatibility,
         "torchreg RANSAC": torchreg_ransac,
         "Open3D RANSAC": open3d_ransac,
@@ -91,23 +99,23 @@ def solvers() -> tuple[dict[str, Solver], dict[str, str]]:
     if gap:
         left_out["KISS-Matcher"] = gap
     else:
-        found["KISS-Matcher"] = kiss_matcher
-    return found, left_out
+        by_name["KISS-Matcher"] = kiss_matcher
+    return by_name, left_out
 
 
 def measure(count: int, ratio: float, by_name: dict[str, Solver]) -> dict[str, dict[str, Any]]:
     """Solved problems and seconds of every solver, run in turn on each problem."""
-    found: dict[str, dict[str, Any]] = {name: {"solved": [], "seconds": []} for name in by_name}
+    measured: dict[str, dict[str, Any]] = {name: {"solved": [], "seconds": []} for name in by_name}
     for seed in range(MOST):
         problem = match_problem(count, ratio, place="room", noise=THRESHOLD / 3, seed=seed)
         for name, solve in by_name.items():
-            if seed >= LEAST.get(name, 2) and sum(found[name]["seconds"]) > SECONDS[count]:
+            if seed >= LEAST.get(name, 2) and sum(measured[name]["seconds"]) > SECONDS[count]:
                 continue
             begin = time.perf_counter()
             T = solve(problem)
-            found[name]["seconds"].append(time.perf_counter() - begin)
+            measured[name]["seconds"].append(time.perf_counter() - begin)
             error = float(tr.metrics.rmse(problem.T_target_source, T, problem.source.points))
-            found[name]["solved"].append(error < THRESHOLD)
+            measured[name]["solved"].append(error < THRESHOLD)
     return {
         name: {
             "solved": sum(cell["solved"]),
@@ -115,11 +123,54 @@ def measure(count: int, ratio: float, by_name: dict[str, Solver]) -> dict[str, d
             "seconds_median": median(cell["seconds"]),
             "seconds_max": max(cell["seconds"]),
         }
-        for name, cell in found.items()
+        for name, cell in measured.items()
     }
 
 
+def draw(cells: list[dict[str, Any]], path: Path) -> None:
+    """Two columns, one per number of matches; success above, seconds below. The share of inliers is on a log axis."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    counts = sorted({cell["matches"] for cell in cells})
+    ratios = sorted({cell["outlier_ratio"] for cell in cells})
+    figure, axes = plt.subplots(2, len(counts), figsize=(10, 6.2), sharex=True, sharey="row", layout="constrained")
+    for column, count in enumerate(counts):
+        above, below = axes[:, column]
+        for name, color in reversed(COLORS.items()):  # the first drawn last, on top
+            of_solver = [cell for cell in cells if cell["matches"] == count and cell["solver"] == name]
+            if not of_solver:
+                continue
+            x = [1 - cell["outlier_ratio"] for cell in of_solver]
+            style = {"color": color, "marker": MARKS[name], "linewidth": 2, "markersize": 6, "clip_on": False}
+            above.plot(x, [100 * cell["solved"] / cell["problems"] for cell in of_solver], label=name, **style)
+            below.plot(x, [cell["seconds_median"] for cell in of_solver], **style)
+        above.set_title(f"{count:,} matches", fontweight="bold")
+        above.set_ylim(0, 103)
+        below.set_yscale("log")
+        below.yaxis.set_major_formatter("{x:g}")
+        below.set_xlabel("wrong matches")
+        for panel in (above, below):
+            panel.grid(color="#dddddd", linewidth=0.8)
+            panel.spines[["top", "right"]].set_visible(False)
+        below.set_xscale("log")
+        below.set_xlim(0.55, 0.0047)
+        below.set_xticks([1 - ratio for ratio in ratios], [f"{100 * ratio:g} %" for ratio in ratios], fontsize=8)
+        below.minorticks_off()
+    axes[0, 0].set_ylabel("problems solved, %")
+    axes[1, 0].set_ylabel("median seconds per problem")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles[::-1], labels[::-1], loc="outside upper center", ncols=4, frameon=False)
+    numbers = [cell["problems"] for cell in cells]
+    figure.supxlabel(f"{min(numbers)} to {max(numbers)} problems a point, fewer where they take long", fontsize=8)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
 def main() -> None:
+    arguments = bench_parser(__doc__).parse_args()
     by_name, left_out = solvers()
     warm_up = match_problem(500, 0.5)
     for solve in by_name.values():
@@ -129,27 +180,28 @@ def main() -> None:
         for ratio in RATIOS:
             for name, cell in measure(count, ratio, by_name).items():
                 cells.append({"matches": count, "outlier_ratio": ratio, "solver": name, **cell})
-    machine = common.machine()
-    common.save(
+    facts = machine()
+    save(
         "outliers",
-        {"machine": machine, "threshold_m": THRESHOLD, "left_out": left_out, "cells": cells},
+        {"machine": facts, "threshold_m": THRESHOLD, "left_out": left_out, "cells": cells},
     )
-    draw(cells, common.ROOT / "docs" / "outliers.png")
+    draw(cells, DOCS / "outliers.png")
     tables = []
     for count in COUNTS:
         rows = [
-            [name, *(said(cell) for cell in cells if cell["matches"] == count and cell["solver"] == name)]
+            [name, *(cell_text(cell) for cell in cells if cell["matches"] == count and cell["solver"] == name)]
             for name in by_name
         ]
         head = [f"{count:,} matches, wrong ones", *(f"{100 * ratio:g} %" for ratio in RATIOS)]
-        tables.append(common.table(head, rows))
+        tables.append(table(head, rows))
     absent = "".join(f" {name}: {why}." for name, why in left_out.items())
-    text = "\n\n".join([*tables, f"{common.in_words(machine)}.{absent}"])
+    text = "\n\n".join([*tables, f"{in_words(facts)}.{absent}"])
     print(text)
-    put_into_readme("outliers", text)
+    if not arguments.no_docs:
+        publish("outliers", text)
 
 
-def said(cell: dict[str, Any]) -> str:
+def cell_text(cell: dict[str, Any]) -> str:
     return f"{cell['solved']}/{cell['problems']}, {cell['seconds_median']:.2g} s"
 
 

@@ -1,13 +1,12 @@
 """All real pairs through ``torchreg batch``: the command as a user runs it, and its summary.
 
-    python bench/real_batch.py            writes bench/results/real_batch.json and the lines in README.md
+    python bench/real_batch.py            writes bench/results/real_batch.json and docs/benchmarks/batch.md
 
 The pairs file names both clouds, the truth, and the voxel edge of the scene; everything else is the default.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import subprocess
@@ -16,14 +15,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from common import REAL, in_words, machine, save
-from readme import put_into_readme
+from common import REAL, bench_parser, in_words, listed_pairs, machine, publish, save
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--no-readme", action="store_true", help="leave README.md as it is")
-    arguments = parser.parse_args()
+    arguments = bench_parser(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         pairs, out = Path(folder) / "pairs.csv", Path(folder) / "out"
         (Path(folder) / "real").symlink_to(REAL)  # so that results name no folder of this machine
@@ -38,15 +34,15 @@ def main() -> None:
         summary = json.loads((out / "summary.json").read_text())
         lines = json.loads((out / "results.json").read_text())
     facts = machine()
-    said = "\n".join(line.rstrip() for line in done.stdout.rstrip().splitlines())
+    output = "\n".join(line.rstrip() for line in done.stdout.rstrip().splitlines())
     text = (
-        f"```\n{said}\n```\n\n{len(lines)} pairs of {summary['clouds']} clouds in {first:.0f} s, the start of all "
+        f"```\n{output}\n```\n\n{len(lines)} pairs of {summary['clouds']} clouds in {first:.0f} s, the start of all "
         f"processes included; the same command once more, with nothing left to do, {again:.1f} s ({in_words(facts)})."
     )
     print(text)
     save("real_batch", {"machine": facts, "seconds": first, "again": again, "summary": summary, "pairs": lines})
-    if not arguments.no_readme:
-        put_into_readme("real batch", text)
+    if not arguments.no_docs:
+        publish("real batch", text)
 
 
 def write_pairs(path: Path) -> None:
@@ -54,7 +50,7 @@ def write_pairs(path: Path) -> None:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["name", "source", "target", "truth", "voxel", "scene"])
-        for pair in json.loads((REAL / "pairs.json").read_text())["pairs"]:
+        for pair in listed_pairs():
             truth = " ".join(str(number) for row in pair["T"] for number in row)
             clouds = [f"real/{pair[side]}" for side in ("source", "target")]
             writer.writerow([pair["name"], *clouds, truth, pair["voxel_m"], pair["scene"]])

@@ -1,43 +1,74 @@
-"""The field on the real pairs beside the checkout: ``torchreg bench field``, its JSON and its table in README.md.
+"""The field on the real pairs beside the checkout: ``torchreg bench field``, its JSON and its tables in the documents.
 
-    python bench/real_pairs.py                         every method and pair; goes on where it was cut off
-    python bench/real_pairs.py --methods default,fast  only these; README.md stays as it is
+    python bench/real_pairs.py                         every method and pair; an unfinished run is resumed
+    python bench/real_pairs.py --methods default,fast  only these; the documents stay as they are
+    python bench/real_pairs.py --saved                 the tables from bench/results/field.json, nothing measured
 
-Rows go to build/field, as ``torchreg bench field --out`` keeps them; bench/results/field.json is what they come to.
+Rows go to build/field, as ``torchreg bench field --out`` keeps them. Written: bench/results/field.json, the tables of
+docs/benchmarks/real_pairs.md, and the five rows of README.md.
 """
 
 from __future__ import annotations
 
-import argparse
+import json
 import shutil
 
-from common import REAL, RESULTS, ROOT, in_words, machine, table
-from readme import put_into_readme
+from common import REAL, RESULTS, ROOT, bench_parser, in_words, listed_pairs, publish, table
 
+from torchreg.benchmark.core.study import run_study
 from torchreg.benchmark.field.document import tables
-from torchreg.benchmark.field.session import Session
+from torchreg.benchmark.field.study import field_study
+from torchreg.benchmark.field.summary import summarize
+from torchreg.benchmark.peers import METHODS
+from torchreg.benchmark.peers.comparison import MethodComparison
 
 OUT = ROOT / "build" / "field"
-SHOWN = ("All pairs", "Registration recall by errors")
-"""Tables that go into README.md."""
+PAGE_TABLES = ("All pairs", "Registration recall by errors")
+README_METHODS = ("open3d-600k", "kiss-matcher", "magsac", "fast", "default")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = bench_parser(__doc__)
     parser.add_argument("--methods", help="only these, a comma between two")
+    parser.add_argument("--saved", action="store_true", help="write the documents from bench/results/field.json")
     arguments = parser.parse_args()
-    if not REAL.exists():
-        raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
-    OUT.parent.mkdir(exist_ok=True)
     names = None if arguments.methods is None else tuple(arguments.methods.split(","))
-    findings = Session(data=REAL, out=OUT, methods=names).run(lambda line: print(line, flush=True))
-    text = "\n\n".join(table(one.head, one.rows) for one in tables(findings) if one.heading in SHOWN)
+    if not arguments.saved:
+        listed_pairs()
+        OUT.parent.mkdir(exist_ok=True)
+        run_study(field_study(REAL, methods=names), OUT, lambda line: print(line, flush=True))
+        if names is None:
+            shutil.copy(OUT / "field.json", RESULTS / "field.json")
+    content = json.loads(((RESULTS if arguments.saved else OUT) / "field.json").read_text())
+    methods = [METHODS[name] for name in content["run"]["methods"]]
+    comparison = MethodComparison(content["rows"], methods, content["gaps"], content["run"]["seed"])
+    text = "\n\n".join(table(one.head, one.rows) for one in tables(comparison) if one.heading in PAGE_TABLES)
     print(text)
-    if names is None:
-        shutil.copy(OUT / "field.json", RESULTS / "field.json")
-        titles = {method.name: method.title for method in findings.methods}
-        gaps = "".join(f" {titles[name]}: {why}." for name, why in findings.gaps.items())
-        put_into_readme("real pairs", f"{text}\n\n{in_words(machine())}.{gaps}")
+    if names is None and not arguments.no_docs:
+        gaps = "".join(f" {METHODS[name].title}: {why}." for name, why in comparison.gaps.items())
+        publish("real pairs", f"{text}\n\n{in_words(content['machine'])}.{gaps}")
+        publish("five methods", f"{readme_table(comparison)}\n\n{in_words(content['machine'])}.")
+
+
+def readme_table(comparison: MethodComparison) -> str:
+    """Five methods by what matters most."""
+    rows = []
+    for name in README_METHODS:
+        cell = summarize(comparison.of(METHODS[name]), comparison.seed)
+        rows.append(
+            [
+                METHODS[name].title,
+                f"{round(cell.recall.value * cell.pairs)} of {cell.pairs}",
+                "-" if cell.inlier_ratio is None else f"{cell.inlier_ratio.value:.2f}",
+                "-" if cell.rre_deg is None else f"{cell.rre_deg.value:.2f} deg, {cell.rte_m.value:.3f} m",
+                f"{cell.seconds.value:.2f} s",
+                str(cell.wrong_called_right),
+                str(cell.right_refused),
+            ]
+        )
+    head = ["method", "pairs found", "right matches", "median errors", "median time"]
+    head += ["wrong, called right", "right, refused"]
+    return table(head, rows)
 
 
 if __name__ == "__main__":

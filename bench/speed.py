@@ -1,33 +1,33 @@
-"""Speed in README.md, from a finished run of ``torchreg bench speed``.
+"""The tables of docs/benchmarks/speed.md, from a finished run of ``torchreg bench speed``.
 
     torchreg bench speed --out DIR && python bench/speed.py DIR
 
-Writes bench/results/speed.json, the tables in README.md and docs/speed.png.
+Writes bench/results/speed.json, docs/benchmarks/speed.md and docs/speed.png.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 from pathlib import Path
 
-from common import ROOT, in_words, save
-from readme import put_into_readme
+from common import DOCS, bench_parser, in_words, publish, save
 
 from torchreg.benchmark.speed.document import markdown
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path, help="the --out of torchreg bench speed")
-    folder = parser.parse_args().folder
-    found = json.loads((folder / "speed.json").read_text())
-    if found["run"]["quick"]:
+    arguments = parser.parse_args()
+    folder = arguments.folder
+    run = json.loads((folder / "speed.json").read_text())
+    if run["run"]["quick"]:
         raise SystemExit(f"{folder}: a quick run, whose numbers stand for nothing")
-    save("speed", found)
-    shutil.copy(folder / "speed.png", ROOT / "docs" / "speed.png")
-    put_into_readme("speed", f"{markdown(found['rows'])}\n\n{in_words(found['machine'])}.")
+    save("speed", run)
+    if not arguments.no_docs:
+        publish("speed", f"{markdown(run['rows'])}\n\n{in_words(run['machine'])}.")
+        shutil.copy(folder / "speed.png", DOCS / "speed.png")
 
 
 if __name__ == "__main__":

@@ -7,13 +7,12 @@
 Every case of ``cases.py`` is registered with effort "balanced". The weights are those of a conditional logit over the
 candidates of every case, by maximum likelihood, held by a ridge to weights that were set by hand. For the figures a
 scene is left out in turn: the weights are fitted to the cases that have nothing to do with it and judged on the rest.
-Written: bench/results/verdict.json, docs/verdict.png and the table in README.md; with ``--ship``
+Written: bench/results/verdict.json, docs/verdict.png and docs/benchmarks/verdict.md; with ``--ship``
 torchreg/verification/weights.json, rounded to two decimals, which every verdict from then on depends on.
 """
 
 from __future__ import annotations
 
-import argparse
 import pickle
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
@@ -24,8 +23,7 @@ from typing import Any, NamedTuple
 
 import torch
 from cases import Case, cases
-from common import REAL, ROOT, in_words, machine, save, table
-from readme import put_into_readme
+from common import DOCS, bench_parser, in_words, listed_pairs, machine, publish, save, table
 from torch import Tensor
 
 import torchreg as tr
@@ -39,7 +37,7 @@ ROTATION_BOUND, TRANSLATION_VOXELS = 15.0, 6.0
 WORKERS = 2
 
 
-class Seen(NamedTuple):
+class CaseTerms(NamedTuple):
     """The candidates of one case: their terms (H, D) and which of them are right (H,)."""
 
     name: str
@@ -49,30 +47,30 @@ class Seen(NamedTuple):
     right: Tensor
 
 
-def look(case: Case) -> Seen:
-    """Register one case."""
+def candidates_of(case: Case) -> CaseTerms:
+    """Register one case, and keep the terms of its candidates."""
     options = options_for(case.voxel, colored=case.source.colors is not None)
     candidates = tr.register(case.source, case.target, options, effort="balanced").candidates[0]
 
     def column(name: str) -> Tensor:
         return torch.tensor([getattr(candidate, name) for candidate in candidates], dtype=torch.float64)
 
-    seen = Evidence(*map(column, Evidence._fields))
+    evidence = Evidence(*map(column, Evidence._fields))
     right = torch.zeros(len(candidates), dtype=torch.bool)
     if case.truth is not None and candidates:
         T = torch.stack([candidate.T_target_source for candidate in candidates])
         right = metrics.rre(case.truth, T) < ROTATION_BOUND
         right &= metrics.rte(case.truth, T) < TRANSLATION_VOXELS * case.voxel
-    return Seen(case.name, case.kind, case.scenes, term_values(seen, column("surprise")), right)
+    return CaseTerms(case.name, case.kind, case.scenes, term_values(evidence, column("surprise")), right)
 
 
-def share_of(part: int) -> list[Seen]:
+def share_of(part: int) -> list[CaseTerms]:
     """Every ``WORKERS``-th case from ``part`` on."""
     torch.set_num_threads(1)
-    return [look(case) for number, case in enumerate(cases()) if number % WORKERS == part]
+    return [candidates_of(case) for number, case in enumerate(cases()) if number % WORKERS == part]
 
 
-def fit(seen: list[Seen]) -> Tensor:
+def fit(seen: list[CaseTerms]) -> Tensor:
     """Weights (D,) by maximum likelihood, held to the prior by the ridge."""
     prior = torch.tensor([term.prior for term in TERMS.values()], dtype=torch.float64)
     most = max(len(case.terms) for case in seen)
@@ -110,7 +108,7 @@ class Judged(NamedTuple):
     success: bool
 
 
-def judge(case: Seen, weights: Tensor) -> Judged:
+def judge(case: CaseTerms, weights: Tensor) -> Judged:
     if len(case.terms) == 0:
         return Judged(*case[:3], 0.0, False, False)
     odds, order = (case.terms @ weights).sort(descending=True)
@@ -118,7 +116,7 @@ def judge(case: Seen, weights: Tensor) -> Judged:
     return Judged(*case[:3], probability, bool(case.right[order[0]]), accepted(probability, odds))
 
 
-def cross_validated(seen: list[Seen]) -> list[Judged]:
+def cross_validated(seen: list[CaseTerms]) -> list[Judged]:
     """Every case judged by weights that know none of its scenes."""
     judged = []
     for scenes in dict.fromkeys(case.scenes for case in seen):
@@ -150,7 +148,9 @@ GROUPS = {
 }
 
 
-def ship(weights: Tensor, typical: Tensor, seen: list[Seen], groups: dict[str, Any], facts: dict[str, Any]) -> None:
+def ship(
+    weights: Tensor, typical: Tensor, seen: list[CaseTerms], groups: dict[str, Any], facts: dict[str, Any]
+) -> None:
     """Write the weights that come with the library, with where they come from."""
     terms = {
         name: term._replace(weight=round(weight, 2), typical=round(mean, 2))
@@ -215,12 +215,11 @@ def draw(judged: list[Judged], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = bench_parser(__doc__)
     parser.add_argument("--keep", type=Path, help="a file for the candidates of all cases")
     parser.add_argument("--ship", action="store_true", help="write the weights that come with the library")
     arguments = parser.parse_args()
-    if not REAL.exists():
-        raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
+    listed_pairs()
     if arguments.keep and arguments.keep.exists():
         seen = pickle.loads(arguments.keep.read_bytes())
     else:
@@ -250,7 +249,7 @@ def main() -> None:
             "cases": [case._asdict() for case in judged],
         },
     )
-    draw(judged, ROOT / "docs" / "verdict.png")
+    draw(judged, DOCS / "verdict.png")
     for name, weight, mean in zip(TERMS, weights.tolist(), typical.tolist(), strict=True):
         print(f"{name:10} {weight:6.2f} {mean:6.2f}")
     if arguments.ship:
@@ -268,7 +267,8 @@ def main() -> None:
     ]
     text = f"{table(head, rows)}\n\n{in_words(facts)}."
     print(text)
-    put_into_readme("verdict", text)
+    if not arguments.no_docs:
+        publish("verdict", text)
     for case in judged:
         if case.right != case.success:
             print(

@@ -3,22 +3,22 @@
 #
 # How many bins should a color histogram have, how much should it weigh, which channels help? And if these are trained
 # on some halls, does it hold in others? A small version of `bench/sensitivity.py`, whose tables over real scans stand
-# in the README. Under a minute on two cores.
+# in `docs/benchmarks/sensitivity.md`. Under a minute on two cores.
 
 # %%
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from matplotlib import pyplot as plt
 
 import torchreg as tr
 from torchreg import metrics
-from torchreg.benchmark.sensitivity.measure import described
-from torchreg.benchmark.sensitivity.variants import PAPER_RULE, Variant
+from torchreg.descriptors.color import color_values, joint_color_values
+from torchreg.descriptors.fuse import rooted
 from torchreg.descriptors.learned import LearnedColor
-from torchreg.learning.prepared import PreparedPair, prepare_pair
+from torchreg.learning.prepared import PreparedCloud, PreparedPair, prepare_pair
 from torchreg.learning.training import TrainingOptions, describe_with, train_color
 
 VOXEL = 0.5
@@ -42,6 +42,44 @@ def inlier_ratio(pair: PreparedPair, features: tuple[tr.Features, tr.Features]) 
     matches = tr.match_mutual(*features)
     truth = pair.T_target_source[None]
     return float(metrics.inlier_ratio(pair.source.cloud, pair.target.cloud, matches, truth, 2 * VOXEL))
+
+
+# %% [markdown]
+# ## A color block with choices
+
+
+# %%
+@dataclass(frozen=True)
+class Variant:
+    """The choices; the defaults are the paper's."""
+
+    bins: int = 11
+    weight: float = 1.0
+    equalization: str = "cloud"
+    channels: tuple[str, ...] = ("hue",)
+    root: float = 0.0
+
+
+PAPER_RULE = Variant()
+
+
+def fused(side: PreparedCloud, values: torch.Tensor, variant: Variant) -> tr.Features:
+    """FPFH and the color histograms of one scan, both moved towards their square roots as far as asked."""
+    color = tr.pcfh(
+        side.cloud, side.near.restrict(2 * VOXEL), bins=variant.bins, channels=variant.channels, values=values
+    )
+    blocks = [replace(block, values=rooted(block.values, variant.root)) for block in (side.fpfh, color)]
+    return tr.fuse(*blocks, weights=(1.0, variant.weight)) if variant.weight > 0 else blocks[0]
+
+
+def described(pair: PreparedPair, variant: Variant) -> tuple[tr.Features, tr.Features]:
+    """The features of both scans."""
+    clouds = pair.source.cloud, pair.target.cloud
+    if variant.equalization == "joint":
+        values = joint_color_values(*clouds)
+    else:
+        values = tuple(color_values(cloud, variant.equalization) for cloud in clouds)
+    return fused(pair.source, values[0], variant), fused(pair.target, values[1], variant)
 
 
 def mean_ratio(variant: Variant) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchreg.benchmark.peers import Answer, Matched, Method, Task
+from torchreg.benchmark.peers import Answer, Method, PeerMatches, Task
 from torchreg.types import Correspondences
 
 
@@ -21,7 +21,9 @@ def posing(name: str, pose: Callable[[Task], Tensor], success: bool = True) -> M
     def answer(task: Task) -> Answer:
         rows = torch.arange(min(len(task.source.points), len(task.target.points)))
         matches = Correspondences(rows, rows, torch.tensor([0, len(rows)]), torch.zeros(len(rows)))
-        return Answer(T_target_source=pose(task), success=success, matches=Matched(task.source, task.target, matches))
+        return Answer(
+            T_target_source=pose(task), success=success, matches=PeerMatches(task.source, task.target, matches)
+        )
 
     return answering(name, answer)
 
@@ -43,10 +45,6 @@ def _never(task: Task) -> Answer:
 
 def install(monkeypatch: object, *methods: Method) -> None:
     """Make these all the methods there are."""
-    from torchreg.benchmark.field import session as field_session
     from torchreg.benchmark.peers import registry
-    from torchreg.benchmark.threedmatch import session as fragments_session
 
-    table = {method.name: method for method in methods}
-    for place in (registry, field_session, fragments_session):
-        monkeypatch.setattr(place, "METHODS", table)
+    monkeypatch.setattr(registry, "METHODS", {method.name: method for method in methods})

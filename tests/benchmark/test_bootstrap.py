@@ -5,7 +5,7 @@ import pytest
 import torch
 from refusals import refuses
 
-from torchreg.benchmark.bootstrap import bootstrap, mean, median
+from torchreg.benchmark.core.bootstrap import bootstrap, mean, median
 
 
 def normal(count, seed):

@@ -11,10 +11,12 @@ from real_folders import project
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.benchmark.field.document import Findings, csv_text, markdown, tables
-from torchreg.benchmark.field.session import Session
+from torchreg.benchmark.core.real_pairs import read_real_pairs
+from torchreg.benchmark.core.study import run_study
+from torchreg.benchmark.field.document import csv_text, tables
+from torchreg.benchmark.field.study import chosen_pairs, field_study
 from torchreg.benchmark.field.summary import difference, groups, summarize
-from torchreg.benchmark.real_pairs import read_real_pairs
+from torchreg.benchmark.peers.comparison import MethodComparison
 from torchreg.geometry.se3 import rigid
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -93,12 +95,13 @@ def knowing(name, data, seen, meters=0.0, fails=()):
 def test_the_whole_run(tmp_path, data, monkeypatch):
     seen = []
     install(monkeypatch, knowing("right", data, seen), knowing("near", data, seen, 1.0), raising("bad"), absent("gone"))
-    said = []
-    findings = Session(data=data, out=tmp_path / "out").run(said.append)
+    reported = []
+    study = field_study(data)
+    rows = run_study(study, tmp_path / "out", reported.append)
     assert len(seen) == 6
-    assert len(findings.rows) == 9
-    assert any("the gone is left out" in line and "no-such-package" in line for line in said)
-    overall = {cells[0]: cells[1:] for cells in tables(findings)[0].rows}
+    assert len(rows) == 9
+    assert any("the gone is left out" in line and "no-such-package" in line for line in reported)
+    overall = {cells[0]: cells[1:] for cells in study.shown(rows)[0].rows}
     assert overall["the right"][:3] == ["3", "1.00", "1.00"]
     assert overall["the near"][:3] == ["3", "1.00", "0.00"]  # 5 v: within 6 v by errors, beyond 4 v by RMSE
     assert overall["the bad"][-1] == "3"
@@ -122,39 +125,38 @@ def test_a_cut_off_run_goes_on_where_it_stopped(tmp_path, data, monkeypatch):
     install(monkeypatch, knowing("a", data, seen), knowing("b", data, seen, fails=("pair_1",)))
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        Session(data=data, out=out).run()
+        run_study(field_study(data), out)
     with (out / "rows.jsonl").open("a") as file:
         file.write('{"key": "half a li')  # what a killed process leaves
     before, seen[:] = list(seen), []
     install(monkeypatch, knowing("a", data, seen), knowing("b", data, seen))
-    findings = Session(data=data, out=out).run()
-    assert len(findings.rows) == 6
+    assert len(run_study(field_study(data), out)) == 6
     assert before[:-1] == [("a", "pair_0"), ("b", "pair_0"), ("a", "pair_1")]
     assert seen == [("b", "pair_1"), ("a", "pair_2"), ("b", "pair_2")]
     seen.clear()
-    again = Session(data=data, out=out, methods=("a",)).run()
-    assert (seen, len(again.rows)) == ([], 3)
+    again = run_study(field_study(data, methods=("a",)), out)
+    assert (seen, len(again)) == ([], 3)
     with refuses("--out", "seed 1"):
-        Session(data=data, out=out, seed=1).run()
+        run_study(field_study(data, seed=1), out)
 
 
-def test_scenes_and_quick_runs(tmp_path, data):
-    def names(**more):
-        return [pair.name for pair in Session(data=data, out=tmp_path, **more).pairs()]
+def test_scenes_and_quick_runs(data):
+    def names(*scenes, **more):
+        return [pair.name for pair in chosen_pairs(data, *scenes, **more)]
 
     assert names() == ["pair_0", "pair_1", "pair_2"]
     assert names(quick=True) == ["pair_0", "pair_2"]
-    assert names(scenes=("yard",)) == ["pair_2"]
+    assert names(("yard",)) == ["pair_2"]
     with refuses("scenes", "hall, yard", "'attic'"):
-        names(scenes=("attic",))
+        names(("attic",))
     with refuses("scenes", "at least one"):
-        names(scenes=())
+        names(())
 
 
 def test_the_same_rows_the_same_tables():
     methods = (posing("a", lambda _: torch.eye(4)),)
-    one, other = (Findings(ROWS, methods, {}, seed=seed) for seed in (0, 0))
-    assert markdown(one, "here") == markdown(other, "here")
+    one, other = (MethodComparison(ROWS, methods, {}, seed=seed) for seed in (0, 0))
+    assert tables(one) == tables(other)
     assert csv_text(one) == csv_text(other)
 
 
@@ -163,7 +165,8 @@ def test_a_pair_of_real_scans(tmp_path):
     if not REAL.is_dir():
         pytest.skip(f"the real pairs are not there: {REAL}")
     names = ("open3d-100k", "fast")
-    findings = Session(data=REAL, out=tmp_path / "out", scenes=("redkitchen",), methods=names, quick=True).run()
-    assert {(row["method"], row["pair"]) for row in findings.rows} == {(name, "redkitchen_19_05") for name in names}
-    assert [cells[2:4] for cells in tables(findings)[0].rows] == [["1.00", "1.00"]] * 2
-    assert all(row["inlier_ratio"] > 0.4 for row in findings.rows)
+    study = field_study(REAL, scenes=("redkitchen",), methods=names, quick=True)
+    rows = run_study(study, tmp_path / "out")
+    assert {(row["method"], row["pair"]) for row in rows} == {(name, "redkitchen_19_05") for name in names}
+    assert [cells[2:4] for cells in study.shown(rows)[0].rows] == [["1.00", "1.00"]] * 2
+    assert all(row["inlier_ratio"] > 0.4 for row in rows)

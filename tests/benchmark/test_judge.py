@@ -10,8 +10,8 @@ from made_up_methods import answering, posing, raising
 from problems import room_pair
 
 import torchreg as tr
-from torchreg.benchmark.judge import judged
 from torchreg.benchmark.peers import Answer, Task
+from torchreg.benchmark.peers.judge import judged
 from torchreg.geometry.se3 import rigid
 
 

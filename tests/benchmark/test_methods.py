@@ -10,8 +10,8 @@ from problems import room_pair
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.benchmark.judge import judged
 from torchreg.benchmark.peers import METHODS, NOT_HERE, Task, chosen_methods
+from torchreg.benchmark.peers.judge import judged
 from torchreg.geometry.se3 import inverse, rigid
 
 VOXEL = 0.12

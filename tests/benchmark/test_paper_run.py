@@ -1,7 +1,8 @@
-"""Measuring: rows that survive a cut, draws, places, and lists of real pairs."""
+"""Measuring: draws, places, and lists of real pairs."""
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -9,12 +10,11 @@ from problems import room_pair
 from refusals import refuses
 
 import torchreg as tr
+from torchreg.benchmark.paper.measure import error_cells, trial
 from torchreg.benchmark.paper.methods import FUSED
 from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, Place, real_places, simulated_places
-from torchreg.benchmark.paper.run import measure, trial
-from torchreg.benchmark.paper.session import Session
-from torchreg.benchmark.paper.settings import SETTINGS, settings_of
-from torchreg.benchmark.paper.size import FULL, QUICK
+from torchreg.benchmark.paper.settings import FULL, QUICK, SETTINGS, settings_of
+from torchreg.benchmark.paper.study import chosen_places, paper_study
 from torchreg.datasets import ScanPair
 from torchreg.errors import CloudFileError
 
@@ -54,10 +54,9 @@ def test_fewer_points_are_part_of_more_and_the_sides_differ():
 def test_the_initial_pose_is_the_truth_that_is_found():
     """A room that registers well has small errors and true matches: frames, orders and draws fit together."""
     setting = replace_points(SETTINGS[0], 5000)
-    rows = FakeRows()
-    measure([room(1, count=6000)], [setting], rows, FULL._replace(hypotheses=50_000), CPU, lambda _: None)
-    assert len(rows) == 3
-    found = next(row for row in rows.values() if row["method"] == FUSED)
+    cells = error_cells([room(1, count=6000)], [setting], FULL._replace(hypotheses=50_000), CPU)
+    assert len(cells) == 3
+    found = next(row for row in (cell.measure() for cell in cells) if row["method"] == FUSED)
     assert found["rre_degrees"] < 5
     assert found["rmse_meters"] < 0.1
     assert found["inlier_ratio"] > 0.01  # chance brings one in thousands
@@ -65,16 +64,15 @@ def test_the_initial_pose_is_the_truth_that_is_found():
     assert float(tr.metrics.rre(setting.pose.matrix(), T)) == pytest.approx(found["rre_degrees"])
 
 
-def test_nothing_is_measured_twice_and_outdoor_settings_stay_out():
-    rows, told = FakeRows(), []
-    settings = [replace_points(setting, 300) for setting in (*settings_of(2), *settings_of(5))]
-    size = FULL._replace(hypotheses=1000)
-    measure([room()], settings, rows, size, CPU, told.append)
-    before = dict(rows)
-    measure([room()], settings, rows, size, CPU, told.append)
-    assert rows == before
-    assert len(rows) == 3
-    assert told == ["room-0 (1 of 1)"]
+def test_scans_are_read_once_and_outdoor_settings_stay_out():
+    settings = [replace_points(setting, 300) for setting in (*settings_of(2), *settings_of(3), *settings_of(5))]
+    read = []
+    place = room()
+    counted = replace(place, scan=lambda: read.append(1) or place.scan())
+    cells = error_cells([counted], settings, FULL._replace(hypotheses=1000), CPU)
+    assert len({cell.key for cell in cells}) == len(cells) == 5 * 3
+    assert all(cell.measure()["experiment"] in (2, 3) for cell in cells)
+    assert len(read) == 1
 
 
 def test_simulated_places_are_scanned_from_one_place_and_as_variants_from_two():
@@ -125,14 +123,14 @@ def test_a_list_without_such_a_pair_is_refused(tmp_path):
         real_places(tmp_path, 0)
 
 
-def test_sessions_refuse_what_they_cannot_run(tmp_path):
+def test_studies_refuse_what_they_cannot_run():
     with refuses("experiments", "at least one"):
-        Session(out=tmp_path, experiments=())
+        paper_study(())
     with refuses("experiments", "1 to 5"):
-        Session(out=tmp_path, experiments=(6,))
-    outdoor = Session(out=tmp_path, experiments=(5,), quick=True, seeds=1).places()
+        paper_study((6,))
+    outdoor = chosen_places((5,), quick=True, seeds=1, seed=0, real=None)
     assert [place.group.outdoor for place in outdoor] == [True]
-    timed = Session(out=tmp_path, experiments=(4,), quick=True, seeds=1).places()
+    timed = chosen_places((4,), quick=True, seeds=1, seed=0, real=None)
     assert [place.name for place in timed] == ["mall-0"]
     assert QUICK.divisor > 1
     assert math.isclose(FULL.angular_step, 0.4)
@@ -140,10 +138,3 @@ def test_sessions_refuse_what_they_cannot_run(tmp_path):
 
 def replace_points(setting, count):
     return setting._replace(points=(count, count))
-
-
-class FakeRows(dict):
-    """Rows in memory."""
-
-    def add(self, row):
-        self[row["key"]] = row

@@ -6,16 +6,26 @@ import io
 import pytest
 import torch
 
+from torchreg.benchmark.core.study import Picture
 from torchreg.benchmark.paper.charts import errors_chart, times_chart
-from torchreg.benchmark.paper.document import Findings, Picture, csv_files, markdown, overview, tables
-from torchreg.benchmark.paper.layout import as_printed, number
+from torchreg.benchmark.paper.document import csv_files, markdown, overview, tables
+from torchreg.benchmark.paper.measure import SPANS, TIMED
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, ROAD
 from torchreg.benchmark.paper.printed import FPFH, FUSED
 from torchreg.benchmark.paper.settings import SETTINGS, settings_of
-from torchreg.benchmark.paper.summary import found, spread_of, summarize
-from torchreg.benchmark.paper.time_table import added, added_in_words, time_table
-from torchreg.benchmark.paper.times import SPANS, TIMED
+from torchreg.benchmark.paper.tables import (
+    added,
+    added_in_words,
+    as_printed,
+    errors_of,
+    is_found,
+    number,
+    spread_of,
+    summarize,
+    time_table,
+    times_of,
+)
 
 
 def row(setting, group, place, method, rre=1.0, rte=0.1, rmse=0.2, threshold=0.2):
@@ -41,7 +51,7 @@ def time_row(name, points):
 
 
 @pytest.fixture
-def findings():
+def rows():
     """Three places a setting, whose errors are one, two and three times a number; only the first is found."""
     errors = [
         row(setting, group, place, method, rre=8.0 * place, rte=0.09 * place, rmse=0.3 * place)
@@ -52,11 +62,11 @@ def findings():
         for place in (1, 2, 3)
     ]
     times = [time_row(s.name, s.points[0]) for s in settings_of(3)]
-    return Findings(errors, times, quick=False)
+    return [*errors, *times]
 
 
-def test_tables_have_the_papers_numbers_and_columns(findings):
-    made = tables(findings)
+def test_tables_have_the_papers_numbers_and_columns(rows):
+    made = tables(rows)
     assert list(made) == [5, 6, 7, 8, 9]
     five = made[5][0]
     assert five.rows[0] == ["Initial pose", *"123" * 3]
@@ -66,16 +76,16 @@ def test_tables_have_the_papers_numbers_and_columns(findings):
     assert lines["RRE/°, ours"] == ["16.0 ± 8.000"] * 9
     assert lines["RMSE/m, our median"] == ["0.600"] * 9
     assert lines["found"] == ["1 / 3"] * 9
-    assert [table.name for table in made[5]] == ["Table 5a", "Table 5b"]
-    assert made[9][0].name == "Table 9"
+    assert [table.heading[:8] for table in made[5]] == ["Table 5a", "Table 5b"]
+    assert made[9][0].heading == f"Table 9: {ROAD.title}"
     assert len(made[6][0].head) == 4
-    for own in made.values():
-        for table in own:
-            assert all(len(line) == len(table.head) for line in table.rows), table.name
+    for several in made.values():
+        for table in several:
+            assert all(len(line) == len(table.head) for line in table.rows), table.heading
 
 
-def test_table_7_stacks_the_methods_as_the_paper_does(findings):
-    table = tables(findings)[7][0]
+def test_table_7_stacks_the_methods_as_the_paper_does(rows):
+    table = tables(rows)[7][0]
     assert table.head == ["Point count", "4k", "2k", "1k", "0.5k"]
     headings = [line[0] for line in table.rows if line[0].startswith("**")]
     assert headings[:2] == ["**FPFH-based algorithm**", "**Color-enhanced FPFH-based algorithm**"]
@@ -84,42 +94,41 @@ def test_table_7_stacks_the_methods_as_the_paper_does(findings):
     assert printed[1] == ["1.633", "2.108", "2.987", "21.990"]
 
 
-def test_table_8_prints_the_slip_as_it_stands(findings):
-    lines = {line[0]: line[1:] for line in time_table(findings.times).rows}
+def test_table_8_prints_the_slip_as_it_stands(rows):
+    lines = {line[0]: line[1:] for line in time_table(times_of(rows)).rows}
     assert lines["FPFH, paper"] == ["0.0034 s", "0.0025 s", "0.0010 s", "0.0006 s"]
     assert lines["FPFH + PCFH, paper"][0] == "0.00036 s"
     assert lines[f"FPFH, {SPANS[0]}"][0] == "20 ms (10 to 30)"
     assert lines[f"added by PCFH, {SPANS[0]}"] == ["+10%"] * 4
-    assert added(findings.times[0], SPANS[1]) == 0
-    assert "500 to 4,000 points: +10% to +10% (descriptors), +0% to +0%" in added_in_words(findings.times)
+    assert added(times_of(rows)[0], SPANS[1]) == 0
+    assert "500 to 4,000 points: +10% to +10% (descriptors), +0% to +0%" in added_in_words(times_of(rows))
 
 
-def test_a_run_of_one_experiment_has_its_table_alone(findings):
-    only = [one for one in findings.errors if one["experiment"] == 2 and one["group"] == MALL.name]
-    made = tables(Findings(only, [], quick=False))
+def test_a_run_of_one_experiment_has_its_table_alone(rows):
+    only = [one for one in rows if one["experiment"] == 2 and one.get("group") == MALL.name]
+    made = tables(only)
     assert list(made) == [6]
-    assert made[6][0].name == "Table 6"
-    rows = overview(Findings(only, [], quick=False)).rows
-    assert rows == [
+    assert made[6][0].heading == f"Table 6: {MALL.title}"
+    assert overview(only).rows == [
         ["2: 12k / 4k", "the paper", "8.550", "0.200", "-"],
         ["", "mall", *["1/3, 0.600"] * 3],
     ]
 
 
-def test_markdown_says_what_kind_of_run_it_was(findings):
-    whole = markdown(findings, "a processor", [Picture(5, "a.png", "a picture")])
+def test_markdown_says_what_kind_of_run_it_was(rows):
+    whole = markdown(rows, [Picture(5, "a.png", "a picture")], "a processor")
     assert "quick" not in whole
     assert whole.index("## Table 9") < whole.index("![a picture](a.png)") < whole.index("## Overview")
     assert whole.endswith("a processor\n")
     assert "Real rooms" in whole
-    simulated = [one for one in findings.errors if one["group"] == MALL.name]
-    quick = markdown(Findings(simulated, [], quick=True), "a processor", [])
+    simulated = [one for one in rows if one.get("group") == MALL.name]
+    quick = markdown(simulated, [], "a processor", quick=True)
     assert "not comparable" in quick
     assert "Real rooms" not in quick
 
 
-def test_csv_holds_every_number(findings):
-    files = csv_files(findings)
+def test_csv_holds_every_number(rows):
+    files = csv_files(rows)
     assert sorted(files) == [f"table{n}.csv" for n in (5, 6, 7, 8, 9)]
     lines = list(csv.DictReader(io.StringIO(files["table9.csv"])))
     assert len(lines) == len(METHODS) * 4
@@ -130,20 +139,19 @@ def test_csv_holds_every_number(findings):
     assert len(list(csv.DictReader(io.StringIO(files["table8.csv"])))) == 4 * len(SPANS) * len(TIMED) * 3
 
 
-def test_spread_of_one_place_has_no_deviation(findings):
+def test_spread_of_one_place_has_no_deviation(rows):
     assert spread_of([2.0]) == (2.0, None, 2.0, 2.0, 2.0)
     assert spread_of([1.0, 3.0]).deviation == pytest.approx(2**0.5)
-    one = Findings(findings.errors[:1], [], quick=False)
-    assert "±" not in markdown(one, "", []).split("## ")[1]
+    assert "±" not in markdown(rows[:1], [], "").split("## ")[1]
 
 
 @pytest.mark.parametrize(("rmse", "threshold", "right"), [(0.49, 0.2, True), (0.51, 0.2, False), (0.2, 0.05, False)])
 def test_found_is_measured_in_inlier_thresholds(rmse, threshold, right):
-    assert found(row(SETTINGS[0], MALL, 0, FPFH, rmse=rmse, threshold=threshold)) is right
+    assert is_found(row(SETTINGS[0], MALL, 0, FPFH, rmse=rmse, threshold=threshold)) is right
 
 
-def test_cells_do_not_mix_groups_or_methods(findings):
-    cells = summarize(findings.errors)
+def test_cells_do_not_mix_groups_or_methods(rows):
+    cells = summarize(rows)
     assert {cell.runs for cell in cells.values()} == {3}
     assert len(cells) == (8 * 2 + 1) * len(METHODS)
 
@@ -153,13 +161,13 @@ def test_numbers_keep_the_papers_zeros():
     assert [number(x) for x in (0.1234, 9.9, 123.45)] == ["0.123", "9.900", "123.5"]
 
 
-def test_charts_draw_every_dot_and_the_papers_numbers(findings):
+def test_charts_draw_every_dot_and_the_papers_numbers(rows):
     groups = [group for group in GROUPS if group in (MALL, REAL)]
-    chart = errors_chart(3, groups, findings.errors)
+    chart = errors_chart(3, groups, errors_of(rows))
     assert len(chart.axes) == 6
     for ax, real in zip(chart.axes, [False] * 3 + [True] * 3, strict=True):
         dots = sum(len(line.get_xdata()) for line in ax.lines if line.get_marker() == "o")
         diamonds = sum(line.get_marker() == "D" for line in ax.lines)
         assert dots == 4 * 3 * len(METHODS)
         assert diamonds == (0 if real else 4 * 2)
-    assert len(times_chart(findings.times).axes) == len(SPANS)
+    assert len(times_chart(times_of(rows)).axes) == len(SPANS)

@@ -7,7 +7,7 @@ import torch
 from real_folders import project
 from refusals import refuses
 
-from torchreg.benchmark.real_pairs import read_real_pairs
+from torchreg.benchmark.core.real_pairs import read_real_pairs
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import pytest
 from refusals import refuses
 
-from torchreg.benchmark.rows import FILE, Rows
+from torchreg.benchmark.core.rows import FILE, Rows
 from torchreg.errors import CloudFileError
 
 

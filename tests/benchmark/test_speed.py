@@ -6,13 +6,12 @@ import pytest
 from refusals import refuses
 from typer.testing import CliRunner
 
-from torchreg.benchmark.speed import session as sessions
-from torchreg.benchmark.speed.document import growth_table, series, times_table
+from torchreg.benchmark.core.timing import interleaved
+from torchreg.benchmark.speed import study as studies
+from torchreg.benchmark.speed.document import growth_table, series, slope, times_table
 from torchreg.benchmark.speed.grid import HYPOTHESES, SLOTS, STAGES, cells
-from torchreg.benchmark.speed.growth import slope
 from torchreg.benchmark.speed.scene import Scenes
 from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
-from torchreg.benchmark.timing import interleaved
 from torchreg.cli.app import app
 
 
@@ -83,7 +82,7 @@ def test_tables_tell_ratios_and_growth():
 
 def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
     asked = list(cells((300,)))[:2]
-    monkeypatch.setattr(sessions, "cells", lambda points: iter(asked))
+    monkeypatch.setattr(studies, "cells", lambda points: iter(asked))
     out = tmp_path / "speed"
     words = ["bench", "speed", "--quick", "--out", str(out)]
     first = CliRunner().invoke(app, words)
@@ -92,7 +91,7 @@ def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
     assert [one["subject"] for one in content["rows"]] == [cell.subject for cell in asked]
     assert (out / "speed.png").stat().st_size > 5000
     assert "neighbor search" in (out / "speed.md").read_text()
-    monkeypatch.setattr(sessions, "interleaved", lambda *_, **__: pytest.fail("measured again"))
+    monkeypatch.setattr(studies, "interleaved", lambda *_, **__: pytest.fail("measured again"))
     assert CliRunner().invoke(app, words).exit_code == 0
 
 

@@ -11,9 +11,9 @@ from problems import random_transform
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.benchmark.threedmatch.document import tables
+from torchreg.benchmark.core.study import run_study
 from torchreg.benchmark.threedmatch.protocol import counts, mean_score, pooled_recall, recalled, score
-from torchreg.benchmark.threedmatch.session import Session
+from torchreg.benchmark.threedmatch.study import chosen_pairs, fragments_study
 from torchreg.geometry.se3 import inverse, rigid
 from torchreg.metrics import information_of_matches
 
@@ -70,12 +70,14 @@ def knowing(name, folder, error, log=None):
 
 
 def result(folder, out, **more):
-    return Session(folder=folder, out=out, voxel=SPACING, **more).run()
+    """The rows, and the first table (registration recall)."""
+    study = fragments_study(folder, voxel=SPACING, **more)
+    rows = run_study(study, out)
+    return rows, study.shown(rows)[0]
 
 
-def scores(findings, method):
-    """Cells of one method's row by the head of the first table (registration recall)."""
-    table = tables(findings)[0]
+def scores(table, method):
+    """Cells of one method's row by the head of a table."""
     (cells,) = [row for row in table.rows if row[0] == f"the {method}"]
     return dict(zip(table.head, cells, strict=True))
 
@@ -93,8 +95,8 @@ def folder(tmp_path):
 
 def test_the_truth_is_recalled_exactly(tmp_path, folder, monkeypatch):
     install(monkeypatch, knowing("truth", folder, lambda *_: 0.0), absent("gone"), raising("bad"))
-    findings = result(folder, tmp_path / "out")
-    found = scores(findings, "truth")
+    rows, table = result(folder, tmp_path / "out")
+    found = scores(table, "truth")
     assert found == {
         "method": "the truth",
         "Kitchen (3)": "1.000",
@@ -102,30 +104,30 @@ def test_the_truth_is_recalled_exactly(tmp_path, folder, monkeypatch):
         "mean": "1.000",
         "all pairs alike": "1.000 [1.000, 1.000]",
     }
-    rows = [row for row in findings.rows if row["method"] == "truth"]
+    rows = [row for row in rows if row["method"] == "truth"]
     assert all(row["information_rmse_m"] < 1e-6 and row["rmse_m"] < 1e-6 for row in rows)
-    assert scores(findings, "bad")["mean"] == "0.000"
-    assert scores(findings, "gone")["Kitchen (3)"] == "not installed"
+    assert scores(table, "bad")["mean"] == "0.000"
+    assert scores(table, "gone")["Kitchen (3)"] == "not installed"
     assert "- the gone: no-such-package" in (tmp_path / "out" / "3dmatch.md").read_text()
 
 
 @pytest.mark.parametrize(("meters", "recall"), [(0.199, "1.000"), (0.201, "0.000")])
 def test_the_bound_is_twenty_centimeters(tmp_path, folder, monkeypatch, meters, recall):
     install(monkeypatch, knowing("off", folder, lambda *_: meters))
-    findings = result(folder, tmp_path / "out")
-    assert scores(findings, "off")["mean"] == recall
-    assert all(row["information_rmse_m"] == pytest.approx(meters, abs=1e-6) for row in findings.rows)
-    assert all(row["rmse_m"] == pytest.approx(meters, abs=1e-6) for row in findings.rows)
+    rows, table = result(folder, tmp_path / "out")
+    assert scores(table, "off")["mean"] == recall
+    assert all(row["information_rmse_m"] == pytest.approx(meters, abs=1e-6) for row in rows)
+    assert all(row["rmse_m"] == pytest.approx(meters, abs=1e-6) for row in rows)
 
 
 def test_fragments_that_follow_one_another_do_not_count(tmp_path, folder, monkeypatch):
     install(monkeypatch, knowing("a", folder, lambda _, i, j: 9.0 if j == i + 1 else 0.0))
-    assert scores(result(folder, tmp_path / "out"), "a")["mean"] == "1.000"
+    assert scores(result(folder, tmp_path / "out")[1], "a")["mean"] == "1.000"
 
 
 def test_scenes_count_alike_in_the_mean_and_pairs_alike_beside_it(tmp_path, folder, monkeypatch):
     install(monkeypatch, knowing("a", folder, lambda scene, i, j: 9.0 if (scene, i, j) == ("other", 0, 2) else 0.0))
-    found = scores(result(folder, tmp_path / "out"), "a")
+    found = scores(result(folder, tmp_path / "out")[1], "a")
     assert (found["Kitchen (3)"], found["other (1)"], found["mean"]) == ("1.000", "0.000", "0.500")
     assert found["all pairs alike"].startswith("0.750 [")
     lines = csv.DictReader((tmp_path / "out" / "3dmatch.csv").read_text().splitlines())
@@ -140,9 +142,9 @@ def test_another_log_and_scenes_of_the_eth(tmp_path, monkeypatch):
     data, logs = tmp_path / "data", tmp_path / "low"
     write_scene(data / "gazebo_summer", ((0, 2), (1, 3)), name="Hokuyo_{}.ply", info=False, logs=logs / "gazebo_summer")
     install(monkeypatch, knowing("a", data, lambda _, i, j: 0.1 + 0.2 * i, logs))
-    findings = result(data, tmp_path / "out", log=logs)
-    assert scores(findings, "a")["gazebo_summer (2)"] == "0.500"
-    assert all(row["information_rmse_m"] is None for row in findings.rows)
+    rows, table = result(data, tmp_path / "out", log=logs)
+    assert scores(table, "a")["gazebo_summer (2)"] == "0.500"
+    assert all(row["information_rmse_m"] is None for row in rows)
     assert "no information matrix" in (tmp_path / "out" / "3dmatch.md").read_text()
 
 
@@ -151,22 +153,22 @@ def test_a_second_run_measures_nothing_again(tmp_path, folder, monkeypatch):
     result(folder, tmp_path / "out")
     first = json.loads((tmp_path / "out" / "3dmatch.json").read_text())["rows"]
     install(monkeypatch, raising("a"))
-    assert result(folder, tmp_path / "out").rows == first
+    assert result(folder, tmp_path / "out")[0] == first
     with refuses("--out", "voxel 0.1"):
-        Session(folder=folder, out=tmp_path / "out", voxel=0.1).run()
+        run_study(fragments_study(folder, voxel=0.1), tmp_path / "out")
 
 
-def test_scenes_and_quick_runs(tmp_path, folder):
-    def names(**more):
-        return [item.name for item in Session(folder=folder, out=tmp_path, **more).items()]
+def test_scenes_and_quick_runs(folder):
+    def names(scenes=None, **more):
+        return [pair.name for pair in chosen_pairs(tr.datasets.Fragments(folder), scenes, 0.05, **more)]
 
     assert len(names()) == 6
     assert names(quick=True) == ["7-scenes-redkitchen__cloud_bin_2__cloud_bin_0", "other__cloud_bin_2__cloud_bin_0"]
-    assert names(scenes=("other",)) == ["other__cloud_bin_2__cloud_bin_0"]
+    assert names(("other",)) == ["other__cloud_bin_2__cloud_bin_0"]
     with refuses("scenes", "'attic'"):
-        names(scenes=("attic",))
+        names(("attic",))
     with refuses("scenes", "at least one"):
-        names(scenes=())
+        names(())
 
 
 def test_counts_by_hand():

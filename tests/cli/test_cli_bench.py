@@ -1,17 +1,29 @@
 """``torchreg bench``: its commands end to end on made-up scans."""
 
+import re
+
 import pytest
+import typer
 from folders import block
 from problems import room_pair
 from real_folders import project
 
 import torchreg as tr
 from torchreg.benchmark.peers import METHODS
+from torchreg.cli import app as app_module
+
+UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|a number|no unit|Where to compute"
 
 
 @pytest.mark.parametrize("name", ["field", "3dmatch", "paper", "speed"])
-def test_help_names_the_exit_codes(run, name):
-    assert "Exit code 0" in run("bench", name, "--help").stdout
+def test_every_option_names_its_unit(run, name):
+    command = typer.main.get_command(app_module.app).commands["bench"].commands[name]
+    for parameter in command.params:
+        if parameter.name != "help":
+            switch = getattr(parameter, "is_flag", False)
+            assert switch or re.search(UNITS, f"{parameter.metavar} {parameter.help}"), parameter.name
+    shown = run("bench", name, "--help").stdout
+    assert "Exit code 0" in shown
 
 
 def test_every_method_is_named_in_the_help(run):
@@ -28,11 +40,11 @@ def test_field(run, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert "Open3D RANSAC, 100,000" in result.stdout
-    assert "pair 2 of 2, pair_2" in result.stderr
+    assert "4 of 4: pair_2, torchreg, FPFH alone" in result.stderr
     text = (out / "field.md").read_text()
     assert "torchreg, FPFH alone (`fpfh`)" in text
     again = run("bench", "field", "--data", data, "--out", out, "--methods", "fpfh,open3d-100k", "--quick")
-    assert "pair 2 of 2" not in again.stderr
+    assert "pair_2" not in again.stderr
     assert (out / "field.md").read_text() == text
     unknown = run("bench", "field", "--data", data, "--out", out, "--methods", "best")
     assert unknown.exit_code == 2

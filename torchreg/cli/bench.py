@@ -1,26 +1,242 @@
-"""``torchreg bench``: measurements that anyone can repeat. Each is a command in a module of its own."""
+"""``torchreg bench``: measurements that anyone can repeat, each a study that its command fills in."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-from torchreg.cli.bench_3dmatch import threedmatch
-from torchreg.cli.bench_field import field
-from torchreg.cli.bench_paper import paper
-from torchreg.cli.bench_speed import speed
-from torchreg.cli.guard import GuardedGroup
+from torchreg.benchmark.core.study import Study, run_study
+from torchreg.cli import options as opt
+from torchreg.cli.guard import GuardedGroup, complain
+from torchreg.cli.output import standard_output
+from torchreg.errors import at_least, expect, positive
+from torchreg.report.text import legible
 
 bench = typer.Typer(
     cls=GuardedGroup,
     no_args_is_help=True,
-    help="Measure how well and how fast it registers, each command on data of its own.",
+    help="Measure: the field on real pairs, 3DMatch, the paper's experiments, speed. Each command writes a folder with "
+    "NAME.md (all tables and pictures), CSV, and NAME.json.",
 )
-bench.command()(field)
-bench.command()(paper)
-bench.command()(speed)
-bench.command("3dmatch")(threedmatch)
+
+Out = Annotated[
+    Path,
+    typer.Option(
+        "--out",
+        metavar="FOLDER",
+        help="Folder of all results: NAME.md, CSV, NAME.json, pictures. An unfinished run there is resumed.",
+    ),
+]
+Quick = Annotated[bool, typer.Option("--quick", help="A small part, to see within seconds how it works.")]
+Methods = Annotated[
+    str | None,
+    typer.Option(
+        "--methods",
+        metavar="NAME,NAME",
+        help="Only these: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, gc-ransac, magsac, "
+        "default, fast, thorough, paper, fpfh.",
+    ),
+]
+Scenes = Annotated[str | None, typer.Option("--scenes", metavar="NAME,NAME", help="Only the pairs of these scenes.")]
+Data = Annotated[
+    Path, typer.Option("--data", metavar="PATH", help="The list of pairs, or the folder whose pairs.json it is.")
+]
+Fragments = Annotated[Path, typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes.")]
+Log = Annotated[
+    Path | None,
+    typer.Option(
+        "--log",
+        metavar="NAME|FOLDER",
+        help="The log that lists the pairs: the name of a file in each scene or beside it, or a folder with "
+        "SCENE/gt.log for each, as 3DLoMatch comes; gt.log by default.",
+    ),
+]
+Voxel = Annotated[
+    float,
+    typer.Option("--voxel", metavar="METERS", help="Average the points over cubes of this edge first, in meters."),
+]
+Experiments = Annotated[
+    list[int] | None,
+    typer.Option("--experiment", metavar="1..5", min=1, max=5, help="Only this experiment (a number; repeatable)."),
+]
+Seeds = Annotated[
+    int | None,
+    typer.Option(
+        "--seeds",
+        metavar="COUNT",
+        min=1,
+        help="Number of simulated malls and roads: 10, or 1 with --quick, by default.",
+    ),
+]
+Real = Annotated[
+    Path | None,
+    typer.Option(
+        "--real",
+        metavar="PATH",
+        help="Also on the real pairs of this list, or of the folder's pairs.json: those with colors and much overlap.",
+    ),
+]
+Points = Annotated[str, typer.Option("--points", metavar="COUNT,COUNT", help="Numbers of points of each cloud.")]
+Repeats = Annotated[
+    int, typer.Option("--repeats", metavar="COUNT", min=1, help="Number of counted runs of everything.")
+]
 
 
-@bench.callback()
-def _group() -> None:
-    """Keep a group of one command a group."""
+@bench.command()
+def field(
+    data: Data,
+    out: Out = Path("torchreg_field"),
+    methods: Methods = None,
+    scenes: Scenes = None,
+    quick: Quick = False,
+    seed: opt.Seed = 0,
+    device: opt.DeviceName = opt.Device.cpu,
+    threads: opt.Threads = None,
+) -> None:
+    """Compare torchreg with Open3D, KISS-Matcher and others on real pairs of known truth.
+
+    Registration recall by errors and by RMSE, feature-match recall, inlier ratio, RRE in degrees, RTE in meters and
+    seconds, by scene and by overlap, with 95 % intervals over the pairs. All methods get the same clouds and lengths.
+    A method whose package is not installed is listed as such. --quick takes the pair of every scene that overlaps most.
+
+    Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
+    """
+    from torchreg.benchmark.field.study import field_study
+
+    _expect_folder(out)
+    where = str(opt.use(device, threads))
+    study = field_study(data, methods=_names(methods), scenes=_names(scenes), quick=quick, device=where, seed=seed)
+    _run_and_show(study, out)
+
+
+@bench.command("3dmatch")
+def threedmatch(
+    folder: Fragments,
+    out: Out = Path("torchreg_3dmatch"),
+    log: Log = None,
+    methods: Methods = None,
+    scenes: Scenes = None,
+    voxel: Voxel = 0.05,
+    quick: Quick = False,
+    seed: opt.Seed = 0,
+    device: opt.DeviceName = opt.Device.cpu,
+    threads: opt.Threads = None,
+) -> None:
+    """Register the pairs of 3DMatch, 3DLoMatch, Color3DMatch or ETH scenes, and print the tables that papers print.
+
+    Fragments are cloud_bin_0.ply, ... (in ETH scenes Hokuyo_0.ply, ...) in one folder per scene, gt.log and gt.info in
+    it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that do
+    not follow one another, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
+    --quick takes the first pair of every scene that counts.
+
+    Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
+    """
+    from torchreg.benchmark.threedmatch.study import fragments_study
+
+    _expect_folder(out)
+    where = str(opt.use(device, threads))
+    study = fragments_study(
+        folder,
+        log=log,
+        methods=_names(methods),
+        scenes=_names(scenes),
+        voxel=positive(voxel, "--voxel"),
+        quick=quick,
+        device=where,
+        seed=seed,
+    )
+    _run_and_show(study, out)
+
+
+@bench.command()
+def paper(
+    out: Out = Path("torchreg_paper"),
+    experiment: Experiments = None,
+    seeds: Seeds = None,
+    real: Real = None,
+    quick: Quick = False,
+    seed: opt.Seed = 0,
+    device: opt.DeviceName = opt.Device.cpu,
+    threads: opt.Threads = None,
+) -> None:
+    """Run the paper's five experiments, and write its Tables 5 to 9 with our numbers beside its own.
+
+    Experiments: 1 three initial poses at 10,000 points, 2 12,000 points against 4,000, 3 4,000 down to 500 points, 4
+    times with and without color, 5 an outdoor road. FPFH alone, FPFH + PCFH, and the same without histogram
+    equalization, on simulated scans and, with --real, on real ones; all lengths in meters. --quick takes a quarter of
+    the points and coarse scans.
+
+    Exit code 0: everything is there. 2: bad usage, or a file that cannot be read.
+    """
+    from torchreg.benchmark.paper.settings import EXPERIMENTS
+    from torchreg.benchmark.paper.study import paper_study
+
+    _expect_folder(out)
+    study = paper_study(
+        tuple(sorted(set(experiment))) if experiment else EXPERIMENTS,
+        seeds=seeds or (1 if quick else 10),
+        seed=seed,
+        real=real,
+        quick=quick,
+        device=opt.use(device, threads).type,
+    )
+    _run_and_show(study, out)
+
+
+@bench.command()
+def speed(
+    out: Out = Path("torchreg_speed"),
+    points: Points = "1000,10000,100000,1000000",
+    repeats: Repeats = 5,
+    quick: Quick = False,
+    threads: opt.Threads = None,
+) -> None:
+    """Time every stage and the whole pair against Open3D's classic and tensor pipelines, in one process, on the CPU.
+
+    Seconds over numbers of points, neighbors and hypotheses, how they grow (slopes of logarithms), and peak memory;
+    torchreg eager and compiled. --quick takes few points and two repeats.
+
+    Exit code 0: everything is there. 2: bad usage.
+    """
+    from torchreg.benchmark.speed.study import speed_study
+
+    _expect_folder(out)
+    opt.use(opt.Device.cpu, threads)
+    _run_and_show(speed_study(_counts(points), repeats=repeats, quick=quick), out)
+
+
+def _run_and_show(study: Study, out: Path) -> None:
+    """Run, and print what the study shows and where the rest lies."""
+    from rich.table import Table
+
+    rows = run_study(study, out, report=complain)
+    console = standard_output()
+    for shown in study.shown(rows):
+        if isinstance(shown, str):
+            console.print(shown, soft_wrap=True)
+            continue
+        table = Table(*shown.head, title=shown.heading, title_justify="left")
+        for row in shown.rows:
+            table.add_row(*row)
+        console.print(table)
+    console.print(f"All tables: {legible(str(out / study.name))}.md", soft_wrap=True)
+
+
+def _expect_folder(out: Path) -> None:
+    """Raise ``ValueError`` where ``--out`` is neither a folder nor a name for one in a folder that exists."""
+    fits = out.is_dir() or (not out.exists() and out.absolute().parent.is_dir())
+    expect(fits, "--out", "a folder, or a name for one in a folder that exists", str(out))
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    """Names out of a text with commas between them."""
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    """Ascending counts out of a text with commas between them."""
+    words = [word.strip() for word in text.split(",")]
+    expect(all(word.isdigit() for word in words), "--points", "counts, a comma between two", text)
+    return tuple(sorted({at_least(int(word), "--points", 100) for word in words}))

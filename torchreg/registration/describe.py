@@ -104,9 +104,7 @@ def describe_clouds(
     return describe_by(clouds, [description_of(option, colored=colored) for option in per_cloud], max_bytes=max_bytes)
 
 
-def describe_by(
-    clouds: Clouds, descriptions: Sequence[Description], *, max_bytes: int = 1 << 28
-) -> DescribedClouds:
+def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_bytes: int = 1 << 28) -> DescribedClouds:
     """Describe clouds, of each as its description says; the rest as ``describe_clouds``."""
     expect_alike(descriptions)
     for record in descriptions[0].descriptors if descriptions else ():

@@ -22,11 +22,11 @@ def length(default: Any = MISSING) -> Any:  # noqa: ANN401
 
 def scaled(options: Options, factor: float) -> Options:
     """Multiply every length of a record by ``factor``, those of records inside it too; ``None`` stays ``None``."""
-    return _with_lengths(
-        options,
-        lambda value, _: None if value is None else factor * value,
-        lambda record: record.scaled(factor) if hasattr(record, "scaled") else scaled(record, factor),
-    )
+
+    def inside(record: Any) -> Any:  # noqa: ANN401
+        return record.scaled(factor) if hasattr(record, "scaled") else scaled(record, factor)
+
+    return _with_lengths(options, lambda value, _: None if value is None else factor * value, inside)
 
 
 def without_lengths(options: Options) -> Options:
@@ -47,4 +47,5 @@ def _with_lengths(options: Options, change: Callable[[Any, Any], Any], inside: C
             changes[each.name] = inside(value)
         elif isinstance(value, tuple):
             changes[each.name] = tuple(inside(item) if is_dataclass(item) else item for item in value)
-    return replace(options, **changes)  # type: ignore[type-var]
+    changed: Options = replace(options, **changes)  # type: ignore[type-var]
+    return changed

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from torchreg.benchmark.paper.layout import LABELS
+from torchreg.benchmark.core.rows import Row
+from torchreg.benchmark.paper.measure import SPANS, TIMED
 from torchreg.benchmark.paper.methods import METHODS
-from torchreg.benchmark.paper.places import Group
+from torchreg.benchmark.paper.places import PlaceGroup
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.settings import settings_of
-from torchreg.benchmark.paper.times import SPANS, TIMED
-from torchreg.benchmark.rows import Row
+from torchreg.benchmark.paper.tables import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ _BAR = 0.8 / len(METHODS)
 _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
-def errors_chart(experiment: int, groups: Sequence[Group], rows: Sequence[Row]) -> Figure:
+def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[Row]) -> Figure:
     """RRE, RTE and RMSE of one experiment: a row of panels for each group of places.
 
     Args:
@@ -41,9 +41,9 @@ def errors_chart(experiment: int, groups: Sequence[Group], rows: Sequence[Row]) 
     figure = _figure(len(LABELS), len(groups))
     panels = figure.subplots(len(groups), len(LABELS), squeeze=False)
     for group, row in zip(groups, panels, strict=True):
-        own = [one for one in rows if one["experiment"] == experiment and one["group"] == group.name]
+        of_group = [one for one in rows if one["experiment"] == experiment and one["group"] == group.name]
         for (measure, label), ax in zip(LABELS.items(), row, strict=True):
-            _error_panel(ax, settings, own, measure)
+            _error_panel(ax, settings, of_group, measure)
             if not group.real:
                 _printed(ax, experiment, settings, measure)
             _logarithmic(ax)
@@ -82,11 +82,11 @@ def _error_panel(ax: Axes, settings: Sequence[str], rows: Sequence[Row], measure
     for place, name in enumerate(settings):
         for method in METHODS:
             x = _across(place, method)
-            own = [max(row[measure], _LEAST) for row in rows if (row["setting"], row["method"]) == (name, method)]
-            if own:
-                spread = np.linspace(-0.25, 0.25, len(own)) * _BAR if len(own) > 1 else np.zeros(1)
-                ax.plot(x + spread, sorted(own), "o", color=COLORS[method], markersize=3.5, alpha=0.7)
-                ax.plot([x - 0.4 * _BAR, x + 0.4 * _BAR], [median(own)] * 2, color=COLORS[method], linewidth=2)
+            errors = [max(row[measure], _LEAST) for row in rows if (row["setting"], row["method"]) == (name, method)]
+            if errors:
+                spread = np.linspace(-0.25, 0.25, len(errors)) * _BAR if len(errors) > 1 else np.zeros(1)
+                ax.plot(x + spread, sorted(errors), "o", color=COLORS[method], markersize=3.5, alpha=0.7)
+                ax.plot([x - 0.4 * _BAR, x + 0.4 * _BAR], [median(errors)] * 2, color=COLORS[method], linewidth=2)
     ax.set_xticks(range(len(settings)), settings)
     ax.set_xlim(-0.6, len(settings) - 0.4)
     ax.tick_params(labelsize=8)

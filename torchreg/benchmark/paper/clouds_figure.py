@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.paper.methods import METHODS
-from torchreg.benchmark.rows import Row
 from torchreg.geometry.se3 import apply, inverse
 from torchreg.report.figures import SOURCE_COLOR, TARGET_COLOR
 from torchreg.report.scene import box
@@ -33,7 +33,7 @@ _SHAPE = 0.8  # of a panel: its height over its width
 
 
 class Shown(NamedTuple):
-    """One row: its heading, the clouds with the target in its initial pose, the truth, and the findings by method."""
+    """One row: its heading, the clouds with the target in its initial pose, the truth, and the rows by method."""
 
     heading: str
     source: Clouds
@@ -43,7 +43,7 @@ class Shown(NamedTuple):
 
 
 def clouds_figure(settings: Sequence[Shown], title: str) -> Figure:
-    """Draw a row of panels for each setting: the initial pose, and what every method found.
+    """Draw a row of panels for each setting: the initial pose, and what every method returned.
 
     Args:
         settings: from above.

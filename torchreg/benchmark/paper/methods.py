@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchreg.benchmark.paper.printed import FPFH, FUSED
+from torchreg.descriptors.records import Pcfh
 from torchreg.registration import PAPER
 from torchreg.registration.options import RegistrationOptions
 
@@ -34,14 +35,12 @@ def options_of(
         hypotheses: how many RANSAC draws at most.
         refit: ``False`` takes the hypothesis with the most inliers as it is, which may be what the paper did.
     """
-    ransac = replace(PAPER.ransac, inlier_threshold=scale * PAPER.ransac.inlier_threshold, hypotheses=hypotheses)
-    options = replace(
-        PAPER,
-        normal_radius=scale * PAPER.normal_radius,
-        feature_radius=scale * PAPER.feature_radius,
-        color_radius=scale * PAPER.color_radius,
-        ransac=ransac if refit else replace(ransac, local_optimization=0, scoring="count"),
-    )
+    options = PAPER.scaled(scale)
+    ransac = replace(options.ransac, hypotheses=hypotheses)
+    options = replace(options, solver=ransac if refit else replace(ransac, local_optimization=0, scoring="count"))
     if method == FPFH:
-        return replace(options, color=(), color_weights=())
-    return options if method == FUSED else replace(options, equalization="none")
+        return options.without_color()
+    if method == FUSED:
+        return options
+    geometry, color = options.descriptors
+    return replace(options, descriptors=(geometry, Pcfh(radius=color.radius, equalization="none")))

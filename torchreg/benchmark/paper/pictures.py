@@ -7,14 +7,15 @@ from pathlib import Path
 
 import torch
 
+from torchreg.benchmark.core.rows import Row
+from torchreg.benchmark.core.study import Picture
 from torchreg.benchmark.paper.charts import errors_chart, times_chart
 from torchreg.benchmark.paper.clouds_figure import Shown, clouds_figure
-from torchreg.benchmark.paper.document import Findings, Picture
+from torchreg.benchmark.paper.measure import key_of, trial
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.places import GROUPS, Place
-from torchreg.benchmark.paper.run import key_of, trial
-from torchreg.benchmark.paper.settings import settings_of
-from torchreg.benchmark.paper.size import Size
+from torchreg.benchmark.paper.settings import RunSize, settings_of
+from torchreg.benchmark.paper.tables import errors_of, times_of
 from torchreg.report import save_figure
 
 FIGURES = {1: 3, 2: 4, 3: 5, 5: 6}
@@ -22,13 +23,13 @@ FIGURES = {1: 3, 2: 4, 3: 5, 5: 6}
 
 
 def draw(
-    folder: Path, findings: Findings, places: Sequence[Place], experiments: Sequence[int], size: Size
+    rows: Sequence[Row], folder: Path, places: Sequence[Place], experiments: Sequence[int], size: RunSize
 ) -> Iterator[Picture]:
-    """Draw and write everything that the findings allow; yields each picture.
+    """Draw and write everything that the rows allow; yields each picture.
 
     Args:
+        rows: what was measured.
         folder: where the files go.
-        findings: what was measured.
         places: of the run; of each group as in the paper the first one is drawn.
         experiments: which.
         size: of the run.
@@ -36,31 +37,31 @@ def draw(
     first = {place.group.name: place for place in reversed(places) if place.group.paper}
     for experiment in experiments:
         if experiment == 4:
-            if findings.times:
-                save_figure(times_chart(findings.times), folder / "chart_experiment4.png")
+            if times_of(rows):
+                save_figure(times_chart(times_of(rows)), folder / "chart_experiment4.png")
                 yield Picture(4, "chart_experiment4.png", "Times of ours and of the paper over the number of points.")
             continue
         outdoor = settings_of(experiment)[0].outdoor
         for place in first.values():
             if place.group.outdoor == outdoor:
-                yield _clouds(folder, findings, place, experiment, size)
-        there = {row["group"] for row in findings.errors if row["experiment"] == experiment}
-        groups = [group for group in GROUPS if group.name in there and group.paper]
+                yield _clouds(folder, rows, place, experiment, size)
+        measured = {row["group"] for row in errors_of(rows) if row["experiment"] == experiment}
+        groups = [group for group in GROUPS if group.name in measured and group.paper]
         name = f"chart_experiment{experiment}.png"
-        save_figure(errors_chart(experiment, groups, findings.errors), folder / name)
+        save_figure(errors_chart(experiment, groups, errors_of(rows)), folder / name)
         yield Picture(experiment, name, "Errors at every place, their median, and the paper's numbers.")
 
 
-def _clouds(folder: Path, findings: Findings, place: Place, experiment: int, size: Size) -> Picture:
-    by_key = {row["key"]: row for row in findings.errors}
+def _clouds(folder: Path, rows: Sequence[Row], place: Place, experiment: int, size: RunSize) -> Picture:
+    by_key = {row["key"]: row for row in rows}
     clouds = place.clouds()
     settings = []
     for setting in settings_of(experiment):
         one = trial(clouds, setting, place, size, torch.device("cpu"))
-        found = {name: by_key[key] for name in METHODS if (key := key_of(setting, place, name)) in by_key}
+        of_methods = {name: by_key[key] for name in METHODS if (key := key_of(setting, place, name)) in by_key}
         counts = " and ".join(f"{len(cloud.points):,}" for cloud in (one.source, one.target))
         pose = f"initial pose {setting.name}\n" if experiment == 1 else ""
-        settings.append(Shown(f"{pose}{counts} points", *one, found))
+        settings.append(Shown(f"{pose}{counts} points", *one, of_methods))
     number = FIGURES[experiment]
     name = f"figure{number}_{place.group.name.replace(' ', '_')}.png"
     title = (

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from torchreg.benchmark.real_pairs import RealPair, read_real_pairs
+from torchreg.benchmark.core.real_pairs import RealPair, read_real_pairs
 from torchreg.datasets import ScanPair, mall, road
 from torchreg.errors import CloudFileError, at_least
 from torchreg.geometry.se3 import transform
@@ -22,7 +22,7 @@ from torchreg.types import Clouds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class PlaceGroup:
     """Places whose results are one column of a table: their mean and spread are taken over these places.
 
     Attributes:
@@ -30,7 +30,7 @@ class Group:
         title: the same in full.
         outdoor: stands for the road rather than the mall.
         paper: scanned as in the paper, and not a variant that goes beyond it.
-        real: scans of something that is there, at another scale than the paper's.
+        real: scans of real places, at another scale than the paper's.
         refit: RANSAC refits its best hypotheses to their inliers.
     """
 
@@ -42,18 +42,18 @@ class Group:
     refit: bool = True
 
 
-MALL = Group(name="mall", title="simulated mall, both scans from one place")
-MALL_BARE = Group(
+MALL = PlaceGroup(name="mall", title="simulated mall, both scans from one place")
+MALL_BARE = PlaceGroup(
     name="mall, no refit", title="simulated mall, RANSAC by counts alone, no refitting", paper=False, refit=False
 )
 MALL_APART = tuple(
-    Group(name=f"mall, {meters} m apart", title=f"simulated mall, stations {meters} m apart", paper=False)
+    PlaceGroup(name=f"mall, {meters} m apart", title=f"simulated mall, stations {meters} m apart", paper=False)
     for meters in (1, 6)
 )
-ROAD = Group(name="road", title="simulated road, both scans from one place", outdoor=True)
-ROAD_APART = Group(name="road, 6 m apart", title="simulated road, stations 6 m apart", outdoor=True, paper=False)
-REAL = Group(name="real rooms", title="real rooms, RGB-D", real=True)
-REAL_OUTDOOR = Group(name="real outdoors", title="real scenes in the open", outdoor=True, real=True)
+ROAD = PlaceGroup(name="road", title="simulated road, both scans from one place", outdoor=True)
+ROAD_APART = PlaceGroup(name="road, 6 m apart", title="simulated road, stations 6 m apart", outdoor=True, paper=False)
+REAL = PlaceGroup(name="real rooms", title="real rooms, RGB-D", real=True)
+REAL_OUTDOOR = PlaceGroup(name="real outdoors", title="real scenes in the open", outdoor=True, real=True)
 
 GROUPS = (MALL, MALL_BARE, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
 
@@ -75,7 +75,7 @@ class Place:
         scan: makes or reads the two scans.
     """
 
-    group: Group
+    group: PlaceGroup
     name: str
     number: int
     scale: float

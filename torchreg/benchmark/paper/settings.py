@@ -16,7 +16,7 @@ from torchreg.geometry.se3 import rigid
 
 
 class InitialPose(NamedTuple):
-    """How the target is moved before the registration: the truth that is then to be found.
+    """How the target is moved before the registration: the truth.
 
     Attributes:
         roll, pitch, yaw: degrees about x, y and z.
@@ -71,6 +71,28 @@ EXPERIMENTS = (1, 2, 3, 4, 5)
 
 TABLES = {1: 5, 2: 6, 3: 7, 4: 8, 5: 9}
 """The paper's table with the results of each experiment."""
+
+
+class RunSize(NamedTuple):
+    """How long a run takes: at the paper's sizes, or at small ones to see that everything works.
+
+    Attributes:
+        angular_step: degrees between the rays of the simulated scanners.
+        divisor: of the paper's point counts.
+        hypotheses: that RANSAC draws at most.
+        repeats: of every measured time.
+        variants: whether stations apart are simulated too.
+    """
+
+    angular_step: float
+    divisor: int
+    hypotheses: int
+    repeats: int
+    variants: bool
+
+
+FULL = RunSize(angular_step=0.4, divisor=1, hypotheses=600_000, repeats=7, variants=True)
+QUICK = RunSize(angular_step=1.5, divisor=4, hypotheses=50_000, repeats=2, variants=False)
 
 
 def settings_of(experiment: int) -> tuple[Setting, ...]:

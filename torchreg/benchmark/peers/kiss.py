@@ -11,17 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.benchmark.peers.method import Answer, Matched, Method, Task, nothing_found, with_origins
+from torchreg.benchmark.peers.method import Answer, Method, PeerMatches, Task, no_pose, with_origins
 from torchreg.geometry.se3 import rigid
 from torchreg.types import Correspondences
 
-MODULE = "kiss_matcher"
 _LEAST = 50
-"""Points; on a dozen, none of which it can describe, the library ends the process."""
+"""Points; on a dozen, none of which it can describe, it ends the whole process."""
 
 
 def kiss_solve(source: Tensor, target: Tensor, threshold: float) -> Tensor:
-    """The pose (4, 4) float64 that its solver finds from matched points, both of its noise bounds the threshold.
+    """Its solver alone: the pose (4, 4) float64 of matched points, both of its noise bounds the threshold.
 
     Args:
         source: (M, 3), meters.
@@ -29,54 +28,56 @@ def kiss_solve(source: Tensor, target: Tensor, threshold: float) -> Tensor:
         threshold: meters.
 
     Raises:
-        ImportError: the package is not there.
+        ImportError: the package is not installed.
     """
     import kiss_matcher
 
     config = kiss_matcher.KISSMatcherConfig(voxel_size=threshold, solver_noise_bound_gain=1.0)
-    said = kiss_matcher.KISSMatcher(config).prune_and_solve(_points(source), _points(target))
-    return rigid(*_pose(said))
+    solution = kiss_matcher.KISSMatcher(config).prune_and_solve(_points(source), _points(target))
+    return rigid(*_pose(solution))
 
 
 def kiss_register(task: Task) -> Answer:
-    """The whole of it with its defaults at this voxel size; the clouds are means over voxels already."""
+    """The whole method with its defaults at this voxel size; the clouds are means over voxels already."""
     import kiss_matcher
 
     if min(len(task.source.points), len(task.target.points)) < _LEAST:
-        return nothing_found()
+        return no_pose()
     config = kiss_matcher.KISSMatcherConfig(voxel_size=task.voxel, use_voxel_sampling=False)
     matcher = kiss_matcher.KISSMatcher(config)
-    said = matcher.estimate(_points(task.source.points), _points(task.target.points))
+    solution = matcher.estimate(_points(task.source.points), _points(task.target.points))
     matches = _matches(matcher, task)
-    if not said.valid:
-        return nothing_found(matches)
-    return Answer(T_target_source=with_origins(*_pose(said), task), success=True, matches=matches)
+    if not solution.valid:
+        return no_pose(matches)
+    return Answer(T_target_source=with_origins(*_pose(solution), task), success=True, matches=matches)
 
 
 def _points(points: Tensor) -> list[Any]:
     return list(points.detach().cpu().numpy().astype(np.float32))
 
 
-def _pose(said: Any) -> tuple[Tensor, Tensor]:  # noqa: ANN401
-    rotation, translation = (torch.from_numpy(np.array(part)).double() for part in (said.rotation, said.translation))
+def _pose(solution: Any) -> tuple[Tensor, Tensor]:  # noqa: ANN401
+    rotation, translation = (
+        torch.from_numpy(np.array(part)).double() for part in (solution.rotation, solution.translation)
+    )
     return rotation, translation.reshape(3)
 
 
-def _matches(matcher: Any, task: Task) -> Matched:  # noqa: ANN401
-    """Its matches before it prunes them; without sampling of its own, their rows are those of the clouds given."""
-    found = torch.tensor(matcher.get_initial_correspondences(), dtype=torch.int64).reshape(-1, 2)
-    rows = found.t().contiguous()
-    matches = Correspondences(rows[0], rows[1], torch.tensor([0, len(found)]), torch.zeros(len(found)))
-    return Matched(task.source, task.target, matches)
+def _matches(matcher: Any, task: Task) -> PeerMatches:  # noqa: ANN401
+    """Its matches before it prunes them; as it does not sample, their rows are those of the clouds."""
+    pairs = torch.tensor(matcher.get_initial_correspondences(), dtype=torch.int64).reshape(-1, 2)
+    rows = pairs.t().contiguous()
+    matches = Correspondences(rows[0], rows[1], torch.tensor([0, len(pairs)]), torch.zeros(len(pairs)))
+    return PeerMatches(task.source, task.target, matches)
 
 
-KISS = (
+METHODS = (
     Method(
         name="kiss-matcher",
         title="KISS-Matcher",
         statement="Its own features, matches and solver with its defaults at this voxel size; no hypotheses.",
         run=kiss_register,
-        module=MODULE,
+        module="kiss_matcher",
         package="kiss-matcher",
     ),
 )

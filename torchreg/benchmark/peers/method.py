@@ -1,4 +1,4 @@
-"""What a method gets, and what it must answer."""
+"""The contract of a method: the task it gets, and the answer it returns."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Task:
         voxel: meters, the edge of these voxels, which all lengths follow: normals 2 voxels, descriptors 5, inlier
             threshold 1.5.
         seed: of the random draws.
-        device: where a method computes that can compute elsewhere than on the CPU.
+        device: where torchreg computes; peers use the CPU.
     """
 
     source: Clouds
@@ -52,8 +52,8 @@ class Task:
         return 1.5 * self.voxel
 
 
-class Matched(NamedTuple):
-    """Matches, and the clouds whose rows they name."""
+class PeerMatches(NamedTuple):
+    """Matches of a method, and the clouds whose rows they are."""
 
     source: Clouds
     target: Clouds
@@ -62,17 +62,17 @@ class Matched(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Answer:
-    """What a method found.
+    """The pose that a method returns.
 
     Attributes:
-        T_target_source: (4, 4) float64 on the CPU, meters, origins included; the identity where it found nothing.
-        success: whether the method itself calls the pair registered.
-        matches: on the CPU, what the pose was found from; ``None`` where the method does not tell.
+        T_target_source: (4, 4) float64 on the CPU, meters, origins included; the identity where there is no pose.
+        success: whether the method calls the pair registered.
+        matches: on the CPU, what the pose was computed from; ``None`` where the method does not return them.
     """
 
     T_target_source: Tensor
     success: bool
-    matches: Matched | None = None
+    matches: PeerMatches | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,10 +82,10 @@ class Method:
     Attributes:
         name: on the command line and in files.
         title: in tables.
-        statement: how it is run, hypotheses included, in a sentence.
-        run: answers a task; an exception is counted as a pair not found.
-        module: what it imports beyond this library's own dependencies, or an empty text.
-        package: the name under which pip knows that.
+        statement: how it is run, hypotheses included, in one sentence.
+        run: registers the pair of a task; an exception counts as a pair not found.
+        module: what it imports beyond torchreg's dependencies, or an empty text.
+        package: what pip installs it as.
         slow: takes minutes on an easy pair; quick runs leave it out unless it is named.
     """
 
@@ -108,7 +108,7 @@ class Method:
         return ""
 
     def version(self) -> str:
-        """The version of its package, or an empty text for what has none of its own."""
+        """The version of its package, or an empty text for a method without one."""
         try:
             return metadata.version(self.package) if self.package else ""
         except metadata.PackageNotFoundError:
@@ -121,6 +121,6 @@ def with_origins(rotation: Tensor, translation: Tensor, task: Task) -> Tensor:
     return rigid(R, t + task.target.origin[0] - apply_rotation(R, task.source.origin[0]))
 
 
-def nothing_found(matches: Matched | None = None) -> Answer:
-    """The answer where there is no pose."""
+def no_pose(matches: PeerMatches | None = None) -> Answer:
+    """The answer of a method that has no pose."""
     return Answer(T_target_source=torch.eye(4, dtype=torch.float64), success=False, matches=matches)

@@ -1,17 +1,18 @@
-"""Every method by name, and those that are left out, with the reason."""
+"""Every method by name, and what is left out, with the reason. A new peer is one file and its name in ``_FILES``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 
-from torchreg.benchmark.peers.kiss import KISS
 from torchreg.benchmark.peers.method import Method
-from torchreg.benchmark.peers.open3d_methods import OPEN3D
-from torchreg.benchmark.peers.ours import OURS
-from torchreg.benchmark.peers.robust_solvers import SOLVERS
 from torchreg.errors import expect
 
-METHODS: dict[str, Method] = {method.name: method for method in (*OPEN3D, *KISS, *SOLVERS, *OURS)}
+_FILES = ("open3d_ransac", "open3d_fgr", "kiss", "graph_cut", "magsac", "ours")
+
+METHODS: dict[str, Method] = {
+    method.name: method for file in _FILES for method in import_module(f"{__package__}.{file}").METHODS
+}
 """In the order of the tables: peers first."""
 
 NOT_HERE: dict[str, str] = {
@@ -24,7 +25,7 @@ NOT_HERE: dict[str, str] = {
     "thresholds, it ends with too small a graph of matches.",
     "Occulus": "its FPFH and its RANSAC are loops in Python that never end early, and it takes no seed.",
 }
-"""What might be expected beside these, and why it is not."""
+"""What a reader might miss beside these, and why it is not there."""
 
 
 def chosen_methods(names: Sequence[str] | None, *, quick: bool = False) -> tuple[Method, ...]:

@@ -1,17 +1,21 @@
-"""The tables: seconds and how many times faster, growth as slopes, peak memory."""
+"""The tables of seconds, growth and peak memory, and the chart of seconds over points."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from statistics import median
+from pathlib import Path
+from statistics import fmean, median
 
-from torchreg.benchmark.rows import Row
-from torchreg.benchmark.speed.grid import RANSAC, WHOLE
-from torchreg.benchmark.speed.growth import slope
+from torchreg.benchmark.core.rows import Row
+from torchreg.benchmark.core.tables import markdown_table
+from torchreg.benchmark.core.timing import spread
+from torchreg.benchmark.speed.grid import RANSAC, STAGES, WHOLE
 from torchreg.benchmark.speed.scene import NEIGHBORS
 from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
-from torchreg.benchmark.tables import markdown_table
-from torchreg.benchmark.timing import spread
+from torchreg.errors import expect
+
+_COLORS = dict(zip(METHODS, ("#0072b2", "#56b4e9", "#d55e00", "#e69f00"), strict=True))
 
 CAPTION = (
     "Two stations of a simulated mall, so many points a cloud drawn at random; supports 2 spacings (normals, 30 "
@@ -24,9 +28,8 @@ CAPTION = (
 
 def markdown(rows: Sequence[Row]) -> str:
     """All tables with their captions."""
-    parts = [CAPTION, times_table(rows), growth_table(rows)]
-    weighed = memory_table(rows)
-    return "\n\n".join(part for part in [*parts, weighed] if part)
+    parts = [CAPTION, times_table(rows), growth_table(rows), memory_table(rows)]
+    return "\n\n".join(part for part in parts if part)
 
 
 def times_table(rows: Sequence[Row]) -> str:
@@ -51,47 +54,92 @@ def growth_table(rows: Sequence[Row]) -> str:
     """The exponent of the power law of cost over points, neighbors and hypotheses, and cost per point."""
     head = ["stage", "cost grows with", "from", "to", *METHODS, "torchreg's cost per unit, most / least"]
     lines = []
-    for subject, size, own in series(rows):
-        sizes = [row[size] for row in own]
+    for subject, size, ascending in series(rows):
+        sizes = [row[size] for row in ascending]
         exponents = []
         for method in METHODS:
-            costs = [median(row["seconds"][method]) for row in own if method in row["seconds"]]
+            costs = [median(row["seconds"][method]) for row in ascending if method in row["seconds"]]
             exponents.append(f"{slope(sizes, costs):.2f}" if len(costs) == len(sizes) else "")
-        each = [median(row["seconds"][OURS]) / row[size] for row in own]
+        each = [median(row["seconds"][OURS]) / row[size] for row in ascending]
         flat = f"{max(each) / min(each):.2f}"
         lines.append([subject, size, f"{sizes[0]:,}", f"{sizes[-1]:,}", *exponents, flat])
     return markdown_table(head, lines)
 
 
 def memory_table(rows: Sequence[Row]) -> str:
-    """Peak memory above what was held before, where it was measured; else nothing."""
-    weighed = [row for row in _in_order(rows) if row.get("bytes")]
-    if not weighed:
+    """Peak memory above what the process held before, or an empty text where it was not measured."""
+    measured = [row for row in _in_order(rows) if row.get("bytes")]
+    if not measured:
         return ""
     lines = [
-        [row["subject"], size_of(row), *(_bytes(row["bytes"].get(method)) for method in METHODS)] for row in weighed
+        [row["subject"], size_of(row), *(_bytes(row["bytes"].get(method)) for method in METHODS)] for row in measured
     ]
     return "Peak memory above clouds and imports:\n\n" + markdown_table(["stage", "size", *METHODS], lines)
 
 
 def series(rows: Sequence[Row]) -> list[tuple[str, str, list[Row]]]:
     """Rows of one subject in which one size alone changes: subject, that size, rows ascending."""
-    found = []
+    listed = []
     for subject in dict.fromkeys(row["subject"] for row in rows):
-        own = [row for row in rows if row["subject"] == subject]
+        of_subject = [row for row in rows if row["subject"] == subject]
         for size in ("points", "neighbors", "hypotheses"):
             others = [name for name in ("points", "neighbors", "hypotheses") if name != size]
             groups: dict[tuple[int, ...], list[Row]] = {}
-            for row in own:
+            for row in of_subject:
                 groups.setdefault(tuple(row[name] for name in others), []).append(row)
             most = max(groups.values(), key=len)
             if len({row[size] for row in most}) > 1:
-                found.append((subject, size, sorted(most, key=lambda row, size=size: row[size])))  # type: ignore[misc]
-    return found
+                listed.append((subject, size, sorted(most, key=lambda row, size=size: row[size])))  # type: ignore[misc]
+    return listed
+
+
+def slope(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """The exponent p of the power law cost ~ size^p that fits best (least squares over logarithms).
+
+    Args:
+        sizes: above 0, at least two different ones.
+        costs: above 0, one per size.
+
+    Example:
+        >>> round(slope([1, 10, 100], [2, 20, 200]), 6)
+        1.0
+    """
+    expect(len(sizes) == len(costs), "costs", f"one per size ({len(sizes)})", len(costs))
+    expect(len(set(sizes)) > 1, "sizes", "at least two different ones", sizes)
+    x, y = [math.log(size) for size in sizes], [math.log(cost) for cost in costs]
+    mx, my = fmean(x), fmean(y)
+    return sum((a - mx) * (b - my) for a, b in zip(x, y, strict=True)) / sum((a - mx) ** 2 for a in x)
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw and save seconds over points, one panel per stage, both axes logarithmic."""
+    from matplotlib.figure import Figure
+
+    names = [name for name in STAGES if any(row["subject"] == name for row in rows)]
+    figure = Figure(figsize=(3.1 * len(names), 3.4), layout="constrained")
+    panels = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
+    for panel, name in zip(panels, names, strict=True):
+        of_stage = [row for row in rows if row["subject"] == name and row["neighbors"] == NEIGHBORS]
+        for method in METHODS:
+            line = [(row["points"], median(row["seconds"][method])) for row in of_stage if method in row["seconds"]]
+            if line:
+                panel.plot(*zip(*line, strict=True), "o-", ms=4, lw=1.5, color=_COLORS[method], label=method)
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_title(name, fontsize=10)
+        panel.set_xlabel("points")
+        panel.grid(alpha=0.3)
+        panel.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("seconds")
+    handles = {
+        label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(METHODS), frameon=False)
+    figure.savefig(path, dpi=110)
 
 
 def size_of(row: Row) -> str:
-    """Points, and what else is not as usual."""
+    """The number of points, and other sizes where they are not the usual ones."""
     words = [f"{row['points']:,} points"]
     words += [f"{row['neighbors']} neighbors"] if row["neighbors"] != NEIGHBORS else []
     words += [f"{row['hypotheses']:,} hypotheses"] if row["subject"] == RANSAC else []

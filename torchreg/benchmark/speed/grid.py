@@ -1,4 +1,4 @@
-"""Which subject is timed at which size."""
+"""The cells of the study: which subject is timed at which size."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GROWTH_SUBJECT = "FPFH + PCFH"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class TimedCell:
     """One subject at one size.
 
     Attributes:
@@ -45,31 +45,31 @@ class Cell:
     build: Subject
 
     @property
-    def words(self) -> str:
-        """What is timed, without what does not apply."""
+    def label(self) -> str:
+        """The key for a reader, without a count that does not apply."""
         drawn = f", {self.hypotheses:,} hypotheses" if self.hypotheses else ""
         return f"{self.subject}, {self.points:,} points, {self.neighbors} neighbors{drawn}"
 
     @property
     def key(self) -> str:
-        """A name of its own."""
+        """Different for every cell."""
         return f"{self.subject}, {self.points} points, {self.neighbors} neighbors, {self.hypotheses} hypotheses"
 
 
-def cells(points: tuple[int, ...] = POINTS) -> Iterator[Cell]:
+def cells(points: tuple[int, ...] = POINTS) -> Iterator[TimedCell]:
     """All cells, smaller clouds first."""
     middle = min(points, key=lambda count: abs(count - _PAIR_POINTS))
     for count in sorted(points):
         for name, build in STAGES.items():
-            yield Cell(subject=name, points=count, build=build)
+            yield TimedCell(subject=name, points=count, build=build)
         if count == middle:
             for slots in SLOTS:
                 if slots != NEIGHBORS:
-                    yield Cell(subject=GROWTH_SUBJECT, points=count, neighbors=slots, build=STAGES[GROWTH_SUBJECT])
+                    yield TimedCell(subject=GROWTH_SUBJECT, points=count, neighbors=slots, build=STAGES[GROWTH_SUBJECT])
         if count <= max(middle, _PAIR_POINTS):
-            yield Cell(subject=MATCHING, points=count, build=subjects.matching)
+            yield TimedCell(subject=MATCHING, points=count, build=subjects.matching)
         if count == middle:
             for number in HYPOTHESES:
-                yield Cell(subject=RANSAC, points=count, hypotheses=number, build=subjects.hypotheses(number))
+                yield TimedCell(subject=RANSAC, points=count, hypotheses=number, build=subjects.hypotheses(number))
         if count <= max(middle, _PAIR_POINTS):
-            yield Cell(subject=WHOLE, points=count, hypotheses=HYPOTHESES[-1], build=subjects.whole)
+            yield TimedCell(subject=WHOLE, points=count, hypotheses=HYPOTHESES[-1], build=subjects.whole)

@@ -1,4 +1,4 @@
-"""What is timed on: two stations of a simulated mall, thinned to a number of points, all lengths in their spacing."""
+"""The scenes that are timed: two stations of a simulated mall, thinned, with all lengths in their spacing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COARSE_UP_TO = 100_000
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class TimedCloud:
     """One cloud with what the stages hand on.
 
     Attributes:
@@ -51,11 +51,11 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class TimedScene:
     """Both sides of a pair."""
 
-    source: Side
-    target: Side
+    source: TimedCloud
+    target: TimedCloud
 
     @cached_property
     def matches(self) -> Correspondences:
@@ -64,12 +64,12 @@ class Scene:
 
 
 class Scenes:
-    """Scenes of any size out of two scans, made once."""
+    """Scenes of any size out of two scans, each scan simulated once."""
 
     def __init__(self) -> None:
         self._scans: dict[float, tuple[Clouds, Clouds]] = {}
 
-    def scene(self, points: int, max_neighbors: int = NEIGHBORS) -> Scene:
+    def scene(self, points: int, max_neighbors: int = NEIGHBORS) -> TimedScene:
         """``points`` a cloud, drawn at random from a mall."""
         step = _COARSE if points <= _COARSE_UP_TO else _FINE
         if step not in self._scans:
@@ -78,6 +78,8 @@ class Scenes:
         sides = []
         for scan in self._scans[step]:
             cloud = random_downsample(scan, points)
-            sides.append(Side(cloud, float(spacing(random_downsample(cloud, min(points, 100_000)))[0]), max_neighbors))
+            sides.append(
+                TimedCloud(cloud, float(spacing(random_downsample(cloud, min(points, 100_000)))[0]), max_neighbors)
+            )
         widest = max(side.spacing for side in sides) * (min(points, 100_000) / points) ** 0.5
-        return Scene(*(Side(side.cloud, widest, max_neighbors) for side in sides))
+        return TimedScene(*(TimedCloud(side.cloud, widest, max_neighbors) for side in sides))

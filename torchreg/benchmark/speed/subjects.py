@@ -13,9 +13,10 @@ from typing import Any
 
 import torch
 
-from torchreg.benchmark.speed.scene import Scene, Side
+from torchreg.benchmark.speed.scene import TimedCloud, TimedScene
 from torchreg.descriptors.fpfh import fpfh
 from torchreg.descriptors.pcfh import pcfh
+from torchreg.descriptors.records import Fpfh, Pcfh
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.matching import match_mutual
 from torchreg.neighborhoods import neighbors
@@ -32,10 +33,10 @@ OURS, COMPILED, CLASSIC, TENSOR = "torchreg", "torchreg, compiled", "Open3D", "O
 METHODS = (OURS, COMPILED, CLASSIC, TENSOR)
 
 Run = Callable[[], Any]
-Subject = Callable[[Scene], dict[str, Run]]
+Subject = Callable[[TimedScene], dict[str, Run]]
 
 
-def search(scene: Scene) -> dict[str, Run]:
+def search(scene: TimedScene) -> dict[str, Run]:
     """The hybrid search of FPFH's support."""
     side, radius = scene.source, 5 * scene.source.spacing
 
@@ -49,7 +50,7 @@ def search(scene: Scene) -> dict[str, Run]:
     return {OURS: lambda: neighbors(side.cloud, radius, side.max_neighbors), TENSOR: tensor}
 
 
-def normals(scene: Scene) -> dict[str, Run]:
+def normals(scene: TimedScene) -> dict[str, Run]:
     """Normals, 30 nearest within 2 spacings, neighborhoods at hand."""
     side, radius = scene.source, 2 * scene.source.spacing
     near = side.near.restrict(radius, 30)
@@ -61,13 +62,13 @@ def normals(scene: Scene) -> dict[str, Run]:
     }
 
 
-def fpfh_alone(scene: Scene) -> dict[str, Run]:
+def fpfh_alone(scene: TimedScene) -> dict[str, Run]:
     """FPFH, neighborhoods at hand."""
     side = scene.source
     return {**_ours(lambda: fpfh(side.oriented, side.near)), **_open3d_fpfh(side)}
 
 
-def fpfh_and_pcfh(scene: Scene) -> dict[str, Run]:
+def fpfh_and_pcfh(scene: TimedScene) -> dict[str, Run]:
     """FPFH and PCFH, neighborhoods at hand."""
     side = scene.source
     color = side.near.restrict(2 * side.spacing)
@@ -78,7 +79,7 @@ def fpfh_and_pcfh(scene: Scene) -> dict[str, Run]:
     return {**_ours(both), **_open3d_fpfh(side)}
 
 
-def with_search(scene: Scene) -> dict[str, Run]:
+def with_search(scene: TimedScene) -> dict[str, Run]:
     """FPFH and PCFH with the neighbor search."""
     side = scene.source
 
@@ -89,7 +90,7 @@ def with_search(scene: Scene) -> dict[str, Run]:
     return {**_ours(both), **_open3d_fpfh(side)}
 
 
-def matching(scene: Scene) -> dict[str, Run]:
+def matching(scene: TimedScene) -> dict[str, Run]:
     """Mutual matches of 44 numbers a point."""
     registration = load_open3d().pipelines.registration
     ours = (scene.source.features, scene.target.features)
@@ -103,7 +104,7 @@ def matching(scene: Scene) -> dict[str, Run]:
 def hypotheses(count: int) -> Subject:
     """So many RANSAC hypotheses over the mutual matches, without an early end."""
 
-    def subject(scene: Scene) -> dict[str, Run]:
+    def subject(scene: TimedScene) -> dict[str, Run]:
         o3d = load_open3d()
         registration = o3d.pipelines.registration
         threshold = 1.5 * scene.source.spacing
@@ -132,10 +133,10 @@ def hypotheses(count: int) -> Subject:
     return subject
 
 
-def whole(scene: Scene) -> dict[str, Run]:
+def whole(scene: TimedScene) -> dict[str, Run]:
     """From points to the transform: 600,000 hypotheses without an early end; Open3D by FPFH alone."""
     options = _whole_options(scene.source.spacing)
-    alone = replace(options, color=(), color_weights=())
+    alone = options.without_color()
     clouds = scene.source.cloud, scene.target.cloud
     return {**_ours(lambda: register(*clouds, options)), CLASSIC: lambda: open3d.register(*clouds, alone)}
 
@@ -144,9 +145,8 @@ def _whole_options(spacing: float) -> RegistrationOptions:
     return replace(
         PAPER,
         normal_radius=2 * spacing,
-        feature_radius=5 * spacing,
-        color_radius=2 * spacing,
-        ransac=replace(PAPER.ransac, confidence=1.0, inlier_threshold=1.5 * spacing),
+        descriptors=(Fpfh(radius=5 * spacing), Pcfh(radius=2 * spacing)),
+        solver=RansacOptions(confidence=1.0, inlier_threshold=1.5 * spacing),
     )
 
 
@@ -158,7 +158,7 @@ def _ours(run: Run) -> dict[str, Run]:
     return {OURS: run, COMPILED: compiled}
 
 
-def _open3d_fpfh(side: Side) -> dict[str, Run]:
+def _open3d_fpfh(side: TimedCloud) -> dict[str, Run]:
     o3d = load_open3d()
     radius, most = 5 * side.spacing, side.max_neighbors
     classic, tensor = point_cloud(side.oriented), _tensor_cloud(side, oriented=True)
@@ -168,7 +168,7 @@ def _open3d_fpfh(side: Side) -> dict[str, Run]:
     }
 
 
-def _tensor_cloud(side: Side, *, oriented: bool) -> Any:  # noqa: ANN401
+def _tensor_cloud(side: TimedCloud, *, oriented: bool) -> Any:  # noqa: ANN401
     o3d = load_open3d()
     cloud = o3d.t.geometry.PointCloud()
     cloud.point.positions = o3d.core.Tensor(side.cloud.points.contiguous().numpy())

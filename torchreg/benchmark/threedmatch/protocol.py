@@ -10,11 +10,10 @@ doi:10.1109/CVPR.2018.00028. What is averaged over scenes counts every scene ali
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from torchreg.benchmark.bootstrap import Interval, bootstrap
-
-Row = dict[str, Any]
+from torchreg.benchmark.core.bootstrap import Interval, bootstrap
+from torchreg.benchmark.core.rows import Row
 
 RMSE = 0.2
 """Meters."""
@@ -22,12 +21,12 @@ RMSE = 0.2
 NEAR = 0.1
 """Meters; a match is an inlier that the truth brings nearer."""
 
-MATCHED = 0.05
-"""The inlier ratio that feature-match recall asks for."""
+LEAST_INLIER_RATIO = 0.05
+"""That feature-match recall asks for."""
 
 
-class Score(NamedTuple):
-    """One method on one scene, or the mean over scenes. ``None`` where there is nothing to speak of.
+class SceneScore(NamedTuple):
+    """One method on one scene, or the mean over scenes. ``None`` where there are no such pairs.
 
     Attributes:
         recall: registration recall.
@@ -57,14 +56,14 @@ def recalled(row: Row) -> bool:
     return error is not None and bool(error <= RMSE)
 
 
-def score(rows: Sequence[Row]) -> Score:
+def score(rows: Sequence[Row]) -> SceneScore:
     """The rows of one method on one scene."""
     counted = [row for row in rows if counts(row)]
     good = [row for row in counted if recalled(row)]
     ratios = [row["inlier_ratio"] for row in rows if row["inlier_ratio"] is not None]
-    return Score(
+    return SceneScore(
         recall=_mean(float(recalled(row)) for row in counted),
-        match_recall=_mean(float(ratio > MATCHED) for ratio in ratios),
+        match_recall=_mean(float(ratio > LEAST_INLIER_RATIO) for ratio in ratios),
         inlier_ratio=_mean(ratios),
         rre_deg=_mean(row["rre_deg"] for row in good),
         rte_m=_mean(row["rte_m"] for row in good),
@@ -72,9 +71,9 @@ def score(rows: Sequence[Row]) -> Score:
     )
 
 
-def mean_score(scores: Sequence[Score]) -> Score:
+def mean_score(scores: Sequence[SceneScore]) -> SceneScore:
     """The mean over scenes, of each number over those that have it."""
-    return Score(*(_mean(value for value in column if value is not None) for column in zip(*scores, strict=True)))
+    return SceneScore(*(_mean(value for value in column if value is not None) for column in zip(*scores, strict=True)))
 
 
 def pooled_recall(rows: Sequence[Row], seed: int = 0) -> Interval | None:
@@ -84,5 +83,5 @@ def pooled_recall(rows: Sequence[Row], seed: int = 0) -> Interval | None:
 
 
 def _mean(values: Iterable[float]) -> float | None:
-    there = list(values)
-    return sum(there) / len(there) if there else None
+    listed = list(values)
+    return sum(listed) / len(listed) if listed else None

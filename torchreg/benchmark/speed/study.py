@@ -1,0 +1,107 @@
+"""The study of times and peak memory of every stage."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from torchreg.benchmark.core.rows import Row
+from torchreg.benchmark.core.study import Cell, Picture, Study
+from torchreg.benchmark.core.timing import interleaved
+from torchreg.benchmark.speed.document import draw, growth_table, markdown, times_table
+from torchreg.benchmark.speed.grid import POINTS, STAGES, TimedCell, cells
+from torchreg.benchmark.speed.scene import Scenes
+from torchreg.errors import expect
+
+PATIENCE = 60.0
+"""Seconds for the counted runs of one function; the first one is always counted."""
+
+QUICK_POINTS = (500, 2_000)
+QUICK_REPEATS = 2
+_WITH_MEMORY = ("FPFH + PCFH with search", "whole pair")  # subjects whose peak memory is measured
+
+_PEAK_CODE = """
+import json, sys
+import torch
+from torchreg.benchmark.speed.grid import cells
+from torchreg.benchmark.speed.scene import Scenes
+key, method, threads = sys.argv[1:]
+torch.set_num_threads(int(threads))
+cell = next(one for one in cells() if one.key == key)
+run = cell.build(Scenes().scene(cell.points, cell.neighbors))[method]
+def status(name):
+    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith(name))
+open("/proc/self/clear_refs", "w").write("5")  # the peak counts from here
+before = status("VmRSS")
+run()
+print(json.dumps(status("VmHWM") - before))
+"""
+
+
+def speed_study(points: Sequence[int] = POINTS, *, repeats: int = 5, quick: bool = False) -> Study:
+    """The study of times and peak memory, torchreg against Open3D, on the CPU.
+
+    Args:
+        points: of each cloud, one scene each.
+        repeats: counted runs of everything.
+        quick: few points, two repeats, no peak memory: to see how it works.
+
+    Raises:
+        ValueError: more points than a simulated scan holds.
+    """
+    expect(max(points) <= max(POINTS), "points", f"at most {max(POINTS):,}, which a simulated scan holds", points)
+    scenes = Scenes()
+    listed = list(cells(QUICK_POINTS if quick else tuple(points)))
+    return Study(
+        name="speed",
+        cells=[Cell(cell.key, cell.label, partial(_measured, cell, scenes, repeats, quick)) for cell in listed],
+        settings={"repeats": repeats, "quick": quick},
+        versions=("torchreg", "torch", "open3d", "processor", "threads"),
+        document=lambda rows, _, machine: f"# Speed\n\n{markdown(rows)}\n\n{machine}\n",
+        draw=_chart,
+        shown=lambda rows: [times_table(rows), growth_table(rows)],
+    )
+
+
+def _measured(cell: TimedCell, scenes: Scenes, repeats: int, quick: bool) -> Row:
+    """A row: the sizes of the cell, ``seconds`` by method, and ``bytes`` by method where measured."""
+    runs = cell.build(scenes.scene(cell.points, cell.neighbors))
+    row: Row = {
+        "subject": cell.subject,
+        "points": cell.points,
+        "neighbors": cell.neighbors,
+        "hypotheses": cell.hypotheses,
+        "seconds": interleaved(runs, QUICK_REPEATS if quick else repeats, patience=PATIENCE),
+    }
+    if cell.subject in _WITH_MEMORY and not quick and _counts_peaks():
+        row["bytes"] = {method: _peak_bytes(cell.key, method, torch.get_num_threads()) for method in runs}
+    return row
+
+
+def _chart(rows: Sequence[Row], folder: Path) -> Iterator[Picture]:
+    if any(row["subject"] in STAGES for row in rows):
+        draw(rows, folder / "speed.png")
+        yield Picture(None, "speed.png", "Seconds of every stage over the number of points.")
+
+
+def _counts_peaks() -> bool:
+    """Whether this system counts the peak memory of a process."""
+    return Path("/proc/self/clear_refs").exists()
+
+
+def _peak_bytes(key: str, method: str, threads: int) -> int:
+    """Bytes above what the process held before, in the first run of a cell of the full grid, in another process.
+
+    Raises:
+        CalledProcessError: the process failed.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", _PEAK_CODE, key, method, str(threads)], capture_output=True, text=True, check=True
+    )
+    return int(json.loads(done.stdout.strip().splitlines()[-1]))
