@@ -14,7 +14,7 @@ from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
-from torchreg.cli.pair import PairFiles, options_of_pair, read_pair
+from torchreg.cli.pair import PairArguments, options_of_pair, read_pair
 from torchreg.cli.progress import step
 from torchreg.reference.comparison import Comparison
 from torchreg.reference.descriptors import DescriptorDifference
@@ -32,7 +32,7 @@ class ComparedFeatures(str, Enum):
 
 @expanded
 def check(
-    files: PairFiles,
+    files: PairArguments,
     settings: StageSettings,
     features: Annotated[
         ComparedFeatures,

@@ -26,7 +26,7 @@ _CLOUD = f"a {alternatives(CLOUD_SUFFIXES)} file, coordinates in meters."
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairFiles:
+class PairArguments:
     """The files of a command on two clouds."""
 
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help=f"The cloud that is moved: {_CLOUD}")]
@@ -86,7 +86,7 @@ class ReadPair:
         return f"{file.path}: {part}{file.points_in_file:,} points"
 
 
-def read_pair(paths: PairFiles, settings: StageSettings) -> ReadPair:
+def read_pair(paths: PairArguments, settings: StageSettings) -> ReadPair:
     """Read both files, and choose some points of each at random where that is asked for.
 
     Raises:

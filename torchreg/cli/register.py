@@ -12,7 +12,7 @@ from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
-from torchreg.cli.pair import PairFiles, ReadPair, options_of_pair, read_pair
+from torchreg.cli.pair import PairArguments, ReadPair, options_of_pair, read_pair
 from torchreg.cli.progress import step
 from torchreg.io.formats import WRITERS, alternatives
 from torchreg.metrics import pose_errors
@@ -90,7 +90,7 @@ class Outputs:
 
 @expanded
 def register(
-    files: PairFiles,
+    files: PairArguments,
     settings: Settings,
     outputs: Outputs,
     device: opt.DeviceName = opt.Device.cpu,

@@ -31,7 +31,7 @@ _LARGEST_RATIO = 88  # the longest reference of LZF: 264 bytes from 3
 
 
 @dataclass(frozen=True, eq=False)
-class _Header:
+class _PcdHeader:
     encoding: str
     columns: list[Column]
     rows: int
@@ -61,7 +61,7 @@ def read_pcd(path: Path) -> Iterator[RawCloud]:
     yield raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.viewpoint, notes)
 
 
-def _read_header(file: BinaryIO, path: Path) -> _Header:
+def _read_header(file: BinaryIO, path: Path) -> _PcdHeader:
     lines: dict[str, list[str]] = {}
     while "DATA" not in lines:
         line = file.readline(_LONGEST_HEADER)
@@ -76,7 +76,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     encoding = " ".join(lines["DATA"])
     known = ("ascii", "binary", "binary_compressed")
     require(encoding in known, path, "DATA " + " or ".join(known), excerpt(encoding))
-    return _Header(encoding, _columns(lines, path), _rows(lines, path), _viewpoint(lines, path), file.tell())
+    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), _viewpoint(lines, path), file.tell())
 
 
 def _columns(lines: dict[str, list[str]], path: Path) -> list[Column]:

@@ -40,7 +40,7 @@ class _Element:
 
 
 @dataclass
-class _Header:
+class _PlyHeader:
     encoding: str = ""
     elements: list[_Element] = field(default_factory=list)
     viewpoint: NDArray[Any] | None = None
@@ -108,10 +108,10 @@ def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
     file.write(table.tobytes())
 
 
-def _read_header(file: BinaryIO, path: Path) -> _Header:
+def _read_header(file: BinaryIO, path: Path) -> _PlyHeader:
     first = file.readline(80)
     require(first.strip() == b"ply", path, "a PLY file, which starts with the line 'ply'", excerpt(first))
-    header = _Header()
+    header = _PlyHeader()
     while file.tell() < _LONGEST_HEADER:
         line = file.readline(_LONGEST_HEADER)
         words = line.decode("latin-1").split()
@@ -125,7 +125,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     return refuse(path, "a line 'end_header' in its first megabyte", "none")
 
 
-def _take_line(header: _Header, words: list[str], path: Path) -> None:
+def _take_line(header: _PlyHeader, words: list[str], path: Path) -> None:
     match words:
         case [] | ["obj_info", *_]:
             pass

@@ -22,11 +22,11 @@ class Side:
         success: whether it calls the pair registered.
         reason: why not, or an empty text.
         notes: what its result says a user should know.
-        matches: how many correspondences it found.
+        matches: how many correspondences it content.
         inliers: how many of them its transform brings within the inlier threshold.
         fitness: of its transform by Open3D's ``evaluate_registration``; ``None`` where it has none.
         inlier_rmse: likewise, meters.
-        truth: errors against the true transform, where that is known and this one was found.
+        truth: errors against the true transform, where that is known and this one was content.
         seconds: time of every stage after downsampling, by name, in order.
     """
 
@@ -58,7 +58,7 @@ class Comparison:
         descriptors: source and target, in float64 and float32 each; empty where a cloud cannot be described.
         torchreg: its run.
         open3d: its run.
-        shared_matches: correspondences that both found.
+        shared_matches: correspondences that both content.
     """
 
     options: RegistrationOptions
@@ -76,7 +76,7 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, texts and lists, ready for JSON; numbers that are not finite become ``None``."""
-        found: dict[str, Any] = {
+        content: dict[str, Any] = {
             "features": self.features,
             "points": {"source": self.points[0], "target": self.points[1]},
             "descriptors_agree": self.descriptors_agree,
@@ -93,7 +93,7 @@ class Comparison:
             "open3d": _side(self.open3d),
             "options": asdict(self.options),
         }
-        return {key: _plain(value) for key, value in found.items()}
+        return {key: _plain(value) for key, value in content.items()}
 
 
 def _side(side: Side) -> dict[str, Any]:

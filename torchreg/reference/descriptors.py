@@ -99,8 +99,8 @@ def _by_open3d(cloud: Clouds, radius: float, max_neighbors: int) -> _ByOpen3d:
 def _difference(cloud: Clouds, reference: _ByOpen3d, name: str) -> DescriptorDifference:
     dtype = cloud.points.dtype
     near = reference.near
-    found = fpfh(cloud, replace(near, sq_distance=near.sq_distance.to(dtype))).values.double()
-    apart = (found - reference.values).abs().amax(dim=1)
+    values = fpfh(cloud, replace(near, sq_distance=near.sq_distance.to(dtype))).values.double()
+    apart = (values - reference.values).abs().amax(dim=1)
     # not "greater than": NaN is off
     off = ~(apart <= TOLERANCES[dtype])
     ties = find_ties(reference.cloud, near, ROUNDING[dtype])

@@ -87,8 +87,8 @@ def fpfh(cloud: Clouds, radius: float, max_neighbors: int) -> Features:
 
     def of_one(single: Clouds) -> Tensor:
         registration = load_open3d().pipelines.registration
-        found = registration.compute_fpfh_feature(point_cloud(single), hybrid(radius, max_neighbors))
-        return rows(found.data).t()
+        feature = registration.compute_fpfh_feature(point_cloud(single), hybrid(radius, max_neighbors))
+        return rows(feature.data).t()
 
     values = _each(cloud, of_one, 33).contiguous()
     return Features(values, cloud.offsets, (("fpfh", 33),), valid=(values != 0).any(dim=1))
@@ -129,16 +129,16 @@ def evaluate(source: Clouds, target: Clouds, T_target_source: Tensor, threshold:
     positive(threshold, "threshold")
     source, target = source.to("cpu"), target.to("cpu")
     R, t = relative_transform(source, target, wide(T_target_source))
-    found = torch.zeros(2, len(source), dtype=torch.float64)
+    values = torch.zeros(2, len(source), dtype=torch.float64)
     for b, (one, other) in enumerate(zip(source.unpack(), target.unpack(), strict=True)):
         if len(one.points) == 0 or len(other.points) == 0:
             continue
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R[b].numpy(), t[b].numpy()
         registration = load_open3d().pipelines.registration
-        said = registration.evaluate_registration(point_cloud(one), point_cloud(other), threshold, T)
-        found[:, b] = torch.tensor([said.fitness, said.inlier_rmse])
-    return Evaluation(found[0], found[1])
+        fit = registration.evaluate_registration(point_cloud(one), point_cloud(other), threshold, T)
+        values[:, b] = torch.tensor([fit.fitness, fit.inlier_rmse])
+    return Evaluation(values[0], values[1])
 
 
 def _each(cloud: Clouds, compute: Callable[[Clouds], Tensor], width: int) -> Tensor:

@@ -88,21 +88,21 @@ def notes_on(source: Clouds, target: Clouds, options: Sequence[RegistrationOptio
 
 def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOptions) -> tuple[str, ...]:
     """Remarks on one pair."""
-    said = []
+    notes = []
     sides = (("source", source), ("target", target))
     bare = [name for name, facts in sides if facts.colors is None]
     if bare:
-        said.append(f"no colors in {' and '.join(bare)}: FPFH alone")
+        notes.append(f"no colors in {' and '.join(bare)}: FPFH alone")
     for name, facts in sides:
         if not facts.faced:
-            said.append(f"no viewpoint for the {name}: its normals are turned to its mean point")
+            notes.append(f"no viewpoint for the {name}: its normals are turned to its mean point")
     for name, facts in sides:
         if facts.colors is not None and (facts.colors[0] < 0 or facts.colors[1] > 1):
             low, high = facts.colors
-            said.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
+            notes.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
     if options.voxel_size is not None:
-        said.append(f"downsampled to voxels of {options.voxel_size:.3g} m")
-    return tuple(said)
+        notes.append(f"downsampled to voxels of {options.voxel_size:.3g} m")
+    return tuple(notes)
 
 
 def _facts(cloud: Clouds) -> CloudFacts:

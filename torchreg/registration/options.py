@@ -224,7 +224,7 @@ def _solver(solver: Solver | str | None, ransac: RansacOptions | None, before: S
 def _by_former_names(
     descriptors: tuple[Descriptor, ...], weights: tuple[float, ...], former: dict[str, Any]
 ) -> tuple[tuple[Descriptor, ...], tuple[float, ...]]:
-    """Descriptors and weights with what is said of them by names from before they were records."""
+    """Descriptors and weights with the changes that former names ask for."""
     if not former or len(descriptors) != len(weights):
         return descriptors, weights
     former = dict(former)

@@ -30,7 +30,7 @@ from torchreg.types import Clouds, Correspondences, Failure, HypothesisCounts, R
 from torchreg.types.packing import offsets_of, spans
 
 SHARE = 0.25
-"""Of the free memory, what a call takes where it is not told."""
+"""Share of the free memory that a call may use where ``max_bytes`` is not given."""
 
 _POINT_BYTES = 2000  # of a described point: itself, its descriptors, their copies in the slice and in its features
 _PAIR_BYTES = 1 << 20  # of a pair whatever its size: hypotheses and candidates

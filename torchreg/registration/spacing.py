@@ -52,11 +52,11 @@ def spacing(clouds: Clouds) -> Tensor:
         (B,) float64, meters: the median distance to the fourth nearest other point, of distinct points where most
         coincide; 0 for a cloud of fewer than 5 of them.
     """
-    found = []
+    spacings = []
     for cloud in clouds.unpack():
         count = len(cloud.points)
         if count <= _SPACING_NEIGHBOR:
-            found.append(torch.zeros((), dtype=torch.float64))
+            spacings.append(torch.zeros((), dtype=torch.float64))
             continue
         # neighbors of all points, the median of an even choice of them
         reach = float((cloud.points.amax(dim=0) - cloud.points.amin(dim=0)).double().norm()) * 1.01 + 1e-30
@@ -67,8 +67,8 @@ def spacing(clouds: Clouds) -> Tensor:
             distinct = cloud.points.unique(dim=0)
             if len(distinct) < count:
                 median = spacing(Clouds(points=distinct))[0]
-        found.append(median)
-    return torch.stack(found) if found else torch.zeros(0, dtype=torch.float64)
+        spacings.append(median)
+    return torch.stack(spacings) if spacings else torch.zeros(0, dtype=torch.float64)
 
 
 def derive_options(source: Clouds, target: Clouds, *, effort: str = "balanced") -> tuple[RegistrationOptions, ...]:

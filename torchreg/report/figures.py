@@ -31,7 +31,7 @@ _WIDTH = 4.4  # inches of a column
 _MARGIN = 0.04
 
 
-class Column(NamedTuple):
+class FigureColumn(NamedTuple):
     """One state: a heading, the source (N, 3) in the picture's frame, and whether to draw true colors."""
 
     heading: str
@@ -76,7 +76,7 @@ def registration_figure(
     scene = scene_of(source, target, _RESERVE * at_least(max_points, "max_points", 1))
     columns = [_before(scene)]
     if T_target_source is not None:
-        columns.append(Column("after", scene.moved(T_target_source)))
+        columns.append(FigureColumn("after", scene.moved(T_target_source)))
         columns += _true_colors(scene, columns[-1])
     return _draw_panels(scene, columns, columns[-1].source, title=title, max_points=max_points)
 
@@ -107,24 +107,24 @@ def demo_figure(
     """
     expect(len(transforms) > 0, "transforms", "at least one method", transforms)
     scene = scene_of(source, target, _RESERVE * at_least(max_points, "max_points", 1))
-    after = [Column(heading, scene.moved(T)) for heading, T in transforms]
+    after = [FigureColumn(heading, scene.moved(T)) for heading, T in transforms]
     columns = [_before(scene), *after, *_true_colors(scene, after[-1])]
     return _draw_panels(scene, columns, after[-1].source, title=title, max_points=max_points)
 
 
-def _before(scene: Scene) -> Column:
+def _before(scene: Scene) -> FigureColumn:
     source, distance = scene.unmoved()
-    return Column(f"before (drawn together: {distance:,.0f} m apart)" if distance else "before", source)
+    return FigureColumn(f"before (drawn together: {distance:,.0f} m apart)" if distance else "before", source)
 
 
-def _true_colors(scene: Scene, column: Column) -> list[Column]:
+def _true_colors(scene: Scene, column: FigureColumn) -> list[FigureColumn]:
     """The same state once more in the colors of the clouds, where both have them."""
-    in_color = Column(f"{column.heading}, in true colors", column.source, in_color=True)
+    in_color = FigureColumn(f"{column.heading}, in true colors", column.source, in_color=True)
     return [] if scene.colors is None else [in_color]
 
 
 def _draw_panels(
-    scene: Scene, columns: Sequence[Column], reference: NDArray[Any], *, title: str, max_points: int
+    scene: Scene, columns: Sequence[FigureColumn], reference: NDArray[Any], *, title: str, max_points: int
 ) -> Figure:
     """Draw every column from three sides, all panels of a row to the same scale.
 

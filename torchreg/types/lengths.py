@@ -23,8 +23,9 @@ def length(default: Any = MISSING) -> Any:  # noqa: ANN401
 def scaled(options: Options, factor: float) -> Options:
     """Multiply every length of a record by ``factor``, those of records inside it too; ``None`` stays ``None``."""
 
-    def inside(record: Any) -> Any:  # noqa: ANN401
-        return record.scaled(factor) if hasattr(record, "scaled") else scaled(record, factor)
+    def inside(record: Options) -> Options:
+        changed: Options = record.scaled(factor) if hasattr(record, "scaled") else scaled(record, factor)
+        return changed
 
     return _with_lengths(options, lambda value, _: None if value is None else factor * value, inside)
 

@@ -21,7 +21,7 @@ from torchreg.benchmark.core.timing import interleaved
 from torchreg.benchmark.paper.methods import METHODS, options_of
 from torchreg.benchmark.paper.places import Place
 from torchreg.benchmark.paper.printed import FPFH, FUSED
-from torchreg.benchmark.paper.settings import RunSize, Setting, settings_of
+from torchreg.benchmark.paper.settings import PaperSetting, RunSize, settings_of
 from torchreg.descriptors.fuse import fuse
 from torchreg.geometry.se3 import transform
 from torchreg.metrics import inlier_ratio, pose_errors
@@ -45,16 +45,16 @@ class Trial(NamedTuple):
 
 
 def error_cells(
-    places: Sequence[Place], settings: Sequence[Setting], size: RunSize, device: torch.device
+    places: Sequence[Place], settings: Sequence[PaperSetting], size: RunSize, device: torch.device
 ) -> list[Cell]:
     """Every setting on every place of its kind, indoor or outdoor, by every method."""
     clouds_of = lru_cache(maxsize=1)(Place.clouds)
 
     @lru_cache(maxsize=1)
-    def trial_of(place: Place, setting: Setting) -> Trial:
+    def trial_of(place: Place, setting: PaperSetting) -> Trial:
         return trial(clouds_of(place), setting, place, size, device)
 
-    def measure(place: Place, setting: Setting, method: str) -> Row:
+    def measure(place: Place, setting: PaperSetting, method: str) -> Row:
         return _errors(trial_of(place, setting), place, setting, method, size)
 
     return [
@@ -75,7 +75,7 @@ def time_cells(place: Place, size: RunSize, device: torch.device) -> list[Cell]:
     clouds_of = lru_cache(maxsize=1)(Place.clouds)
     threads = f"{torch.get_num_threads()} threads"
 
-    def measure(setting: Setting) -> Row:
+    def measure(setting: PaperSetting) -> Row:
         return _times(trial(clouds_of(place), setting, place, size, device), place, setting, size)
 
     return [
@@ -84,12 +84,14 @@ def time_cells(place: Place, size: RunSize, device: torch.device) -> list[Cell]:
     ]
 
 
-def key_of(setting: Setting, place: Place, method: str) -> str:
+def key_of(setting: PaperSetting, place: Place, method: str) -> str:
     """The name of a row of errors."""
     return f"{setting.experiment}/{setting.name}/{place.name}/{method}"
 
 
-def trial(clouds: tuple[Clouds, Clouds], setting: Setting, place: Place, size: RunSize, device: torch.device) -> Trial:
+def trial(
+    clouds: tuple[Clouds, Clouds], setting: PaperSetting, place: Place, size: RunSize, device: torch.device
+) -> Trial:
     """Draw the points and move the target to the initial pose.
 
     Draws are seeded by the place, not by the setting: all initial poses see the same points, and fewer points are a
@@ -103,7 +105,7 @@ def trial(clouds: tuple[Clouds, Clouds], setting: Setting, place: Place, size: R
     return Trial(source, transform(target, T), T)
 
 
-def _errors(one: Trial, place: Place, setting: Setting, method: str, size: RunSize) -> Row:
+def _errors(one: Trial, place: Place, setting: PaperSetting, method: str, size: RunSize) -> Row:
     options = options_of(method, scale=place.scale, hypotheses=size.hypotheses, refit=place.group.refit)
     begin = time.perf_counter()
     result = register(one.source, one.target, options, seed=place.number)
@@ -136,7 +138,7 @@ def _generator(place: int, side: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def _times(one: Trial, place: Place, setting: Setting, size: RunSize) -> Row:
+def _times(one: Trial, place: Place, setting: PaperSetting, size: RunSize) -> Row:
     runs: dict[str, Callable[[], Any]] = {}
     for method in TIMED:
         options = options_of(method, scale=place.scale, hypotheses=size.hypotheses)

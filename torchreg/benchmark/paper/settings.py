@@ -36,7 +36,7 @@ class InitialPose(NamedTuple):
         return rigid(R, torch.tensor([self.x, self.y, self.z], dtype=torch.float64))
 
 
-class Setting(NamedTuple):
+class PaperSetting(NamedTuple):
     """One column of the paper's tables.
 
     Attributes:
@@ -55,15 +55,15 @@ class Setting(NamedTuple):
 
 
 SETTINGS = (
-    Setting(1, "1", (10_000, 10_000), InitialPose(55.08, -9.61, -55.52, -20.097, 20.474, 24.060)),
-    Setting(1, "2", (10_000, 10_000), InitialPose(60.63, -84.00, 97.76, 8.376, -7.014, 8.380)),
-    Setting(1, "3", (10_000, 10_000), InitialPose(33.68, 41.03, 17.52, -3.523, -0.243, 1.931)),
-    Setting(2, "12k / 4k", (12_000, 4_000), InitialPose(-2.38, -68.74, 30.71, 3.362, 3.933, -3.000)),
-    Setting(3, "4k", (4_000, 4_000), InitialPose(55.97, 14.39, -34.77, 4.479, 2.380, 1.579)),
-    Setting(3, "2k", (2_000, 2_000), InitialPose(-39.97, 35.47, -18.12, 0.666, 0.087, -2.754)),
-    Setting(3, "1k", (1_000, 1_000), InitialPose(-11.23, -58.75, -22.35, 4.966, 4.855, -4.406)),
-    Setting(3, "0.5k", (500, 500), InitialPose(-28.28, -61.12, -19.60, -3.183, 4.865, 1.291)),
-    Setting(5, "road", (10_000, 10_000), InitialPose(52.47, 23.51, -56.22, -97.50, 81.86, 81.90), outdoor=True),
+    PaperSetting(1, "1", (10_000, 10_000), InitialPose(55.08, -9.61, -55.52, -20.097, 20.474, 24.060)),
+    PaperSetting(1, "2", (10_000, 10_000), InitialPose(60.63, -84.00, 97.76, 8.376, -7.014, 8.380)),
+    PaperSetting(1, "3", (10_000, 10_000), InitialPose(33.68, 41.03, 17.52, -3.523, -0.243, 1.931)),
+    PaperSetting(2, "12k / 4k", (12_000, 4_000), InitialPose(-2.38, -68.74, 30.71, 3.362, 3.933, -3.000)),
+    PaperSetting(3, "4k", (4_000, 4_000), InitialPose(55.97, 14.39, -34.77, 4.479, 2.380, 1.579)),
+    PaperSetting(3, "2k", (2_000, 2_000), InitialPose(-39.97, 35.47, -18.12, 0.666, 0.087, -2.754)),
+    PaperSetting(3, "1k", (1_000, 1_000), InitialPose(-11.23, -58.75, -22.35, 4.966, 4.855, -4.406)),
+    PaperSetting(3, "0.5k", (500, 500), InitialPose(-28.28, -61.12, -19.60, -3.183, 4.865, 1.291)),
+    PaperSetting(5, "road", (10_000, 10_000), InitialPose(52.47, 23.51, -56.22, -97.50, 81.86, 81.90), outdoor=True),
 )
 """Tables 1 to 4. Experiment 4 measures times with the point counts of Experiment 3."""
 
@@ -95,7 +95,7 @@ FULL = RunSize(angular_step=0.4, divisor=1, hypotheses=600_000, repeats=7, varia
 QUICK = RunSize(angular_step=1.5, divisor=4, hypotheses=50_000, repeats=2, variants=False)
 
 
-def settings_of(experiment: int) -> tuple[Setting, ...]:
+def settings_of(experiment: int) -> tuple[PaperSetting, ...]:
     """The settings of one experiment, in the order of the paper's columns; none for Experiment 4."""
     return tuple(setting for setting in SETTINGS if setting.experiment == experiment)
 

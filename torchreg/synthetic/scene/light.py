@@ -58,7 +58,7 @@ class Camera:
     noise: float = 0.012
 
 
-class Visibility(Protocol):
+class LineOfSight(Protocol):
     """Which places see each other."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
@@ -68,7 +68,7 @@ class Visibility(Protocol):
         """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
 
 
-def irradiance(points: Array, normals: Array, light: Light, visibility: Visibility) -> Array:
+def irradiance(points: Array, normals: Array, light: Light, visibility: LineOfSight) -> Array:
     """The light that falls on surfaces; the sun, both skies and the strongest lamp at each point cast shadows.
 
     Args:
@@ -129,7 +129,7 @@ def linear(color: Array) -> Array:
     return np.asarray(color**DISPLAY_GAMMA)
 
 
-def _add_lamps(total: Array, points: Array, normals: Array, light: Light, visibility: Visibility) -> None:
+def _add_lamps(total: Array, points: Array, normals: Array, light: Light, visibility: LineOfSight) -> None:
     brightness = light.lamp_power.mean(axis=1)
     strongest, which = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
     for k, (position, power) in enumerate(zip(light.lamps, light.lamp_power, strict=True)):
@@ -152,7 +152,7 @@ def _from_above(points: Array, normals: Array, position: Array) -> Array:
     return np.asarray(facing * sent / (square * (square + 0.3)))
 
 
-def _open_sky(points: Array, normals: Array, visibility: Visibility) -> Array:
+def _open_sky(points: Array, normals: Array, visibility: LineOfSight) -> Array:
     """The part of an even sky's light that reaches surfaces, (P,); 1 on level ground in the open."""
     total = np.zeros(len(points))
     for way in _SKY_WAYS:
@@ -171,7 +171,7 @@ def _spread_over_sky(count: int) -> Array:
 
 
 class _Unhindered:
-    """Visibility where nothing stands in the way."""
+    """LineOfSight where nothing stands in the way."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
         return np.ones(len(points), dtype=bool)
