@@ -81,7 +81,7 @@ def test_notes_name_what_is_missing():
     full, bare = tr.Clouds.pack([pair.source] * 2), tr.Clouds(points=torch.zeros(2, 3), offsets=torch.tensor([0, 1, 2]))
     assert notes_on(full, full, options) == ((), ("downsampled to voxels of 0.123 m",))
     first, _ = notes_on(full, bare, options)
-    assert first[0].startswith("no colors in target: FPFH alone")
+    assert first[0].startswith("no colors in target: geometry alone")
     assert first[1].startswith("no viewpoint for the target")
     first, _ = notes_on(bare, bare, options)
     assert first[0].startswith("no colors in source and target")

@@ -122,7 +122,7 @@ def plain_data(value: Any) -> Any:  # noqa: ANN401
         return plain_data(value.detach().cpu().tolist())
     if is_dataclass(value) and not isinstance(value, type):
         name = getattr(type(value), "name", None)
-        by_name = {one.name: getattr(value, one.name) for one in fields(value)}
+        by_name = {one.name: getattr(value, one.name) for one in fields(value) if not one.name.startswith("_")}
         return plain_data({"name": name, **by_name} if isinstance(name, str) else by_name)
     if isinstance(value, tuple) and hasattr(value, "_asdict"):
         return plain_data(value._asdict())

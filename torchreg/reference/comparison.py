@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from torchreg.io.result_json import plain_data
 from torchreg.metrics import PoseErrors
 from torchreg.reference.descriptors import DescriptorDifference
 from torchreg.registration.options import RegistrationOptions
@@ -22,11 +23,11 @@ class Side:
         success: whether it calls the pair registered.
         reason: why not, or an empty text.
         notes: what its result says a user should know.
-        matches: how many correspondences it content.
+        matches: how many correspondences it found.
         inliers: how many of them its transform brings within the inlier threshold.
         fitness: of its transform by Open3D's ``evaluate_registration``; ``None`` where it has none.
         inlier_rmse: likewise, meters.
-        truth: errors against the true transform, where that is known and this one was content.
+        truth: errors against the true transform, where that is known and this one was found.
         seconds: time of every stage after downsampling, by name, in order.
     """
 
@@ -58,7 +59,7 @@ class Comparison:
         descriptors: source and target, in float64 and float32 each; empty where a cloud cannot be described.
         torchreg: its run.
         open3d: its run.
-        shared_matches: correspondences that both content.
+        shared_matches: correspondences that both found.
     """
 
     options: RegistrationOptions
@@ -91,7 +92,7 @@ class Comparison:
             },
             "torchreg": _side(self.torchreg),
             "open3d": _side(self.open3d),
-            "options": asdict(self.options),
+            "options": plain_data(self.options),
         }
         return {key: _plain(value) for key, value in content.items()}
 

@@ -92,7 +92,7 @@ def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOpti
     sides = (("source", source), ("target", target))
     bare = [name for name, facts in sides if facts.colors is None]
     if bare:
-        notes.append(f"no colors in {' and '.join(bare)}: FPFH alone")
+        notes.append(f"no colors in {' and '.join(bare)}: geometry alone is matched")
     for name, facts in sides:
         if not facts.faced:
             notes.append(f"no viewpoint for the {name}: its normals are turned to its mean point")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import MISSING, field, fields, is_dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 Options = TypeVar("Options")
 
@@ -24,8 +24,7 @@ def scaled(options: Options, factor: float) -> Options:
     """Multiply every length of a record by ``factor``, those of records inside it too; ``None`` stays ``None``."""
 
     def inside(record: Options) -> Options:
-        changed: Options = record.scaled(factor) if hasattr(record, "scaled") else scaled(record, factor)
-        return changed
+        return cast(Options, record.scaled(factor)) if hasattr(record, "scaled") else scaled(record, factor)
 
     return _with_lengths(options, lambda value, _: None if value is None else factor * value, inside)
 
@@ -35,7 +34,9 @@ def without_lengths(options: Options) -> Options:
 
     Two records are equal then exactly where they differ in lengths alone.
     """
-    return _with_lengths(options, lambda _, default: None if default is None else 1.0, without_lengths)
+    return _with_lengths(
+        options, lambda _, default: None if default is None else 1.0, lambda record: without_lengths(record)
+    )
 
 
 def _with_lengths(options: Options, change: Callable[[Any, Any], Any], inside: Callable[[Any], Any]) -> Options:
