@@ -1,7 +1,10 @@
 """Global registration of colored point clouds in PyTorch.
 
-Clouds -> downsample -> neighbors -> normals -> fpfh, pcfh -> fuse -> match_mutual -> ransac: each arrow is one
-public function, tensors in and a named type out; ``register`` is these lines and nothing more.
+    Clouds -> downsample -> neighbors -> normals -> descriptors -> fuse -> match_mutual -> ransac | compatibility
+
+Each arrow is one public function, tensors in and a named type out. ``register`` runs them for batches of pairs; unless
+told to be plain, it lets the poses of several sets of features compete on the clouds, refines them by ICP and says with
+what probability the winner is right.
 """
 
 from __future__ import annotations
@@ -12,12 +15,12 @@ from typing import TYPE_CHECKING
 
 from torchreg import metrics
 from torchreg.descriptors.color import soft_equalize
-from torchreg.descriptors.contrast import contrast
+from torchreg.descriptors.contrast import Contrast, contrast
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.fpfh import fpfh
+from torchreg.descriptors.fpfh import Fpfh, fpfh
 from torchreg.descriptors.fuse import fuse
-from torchreg.descriptors.pcfh import pcfh
-from torchreg.descriptors.records import Contrast, Fpfh, Learned, Pcfh
+from torchreg.descriptors.learned import Learned
+from torchreg.descriptors.pcfh import Pcfh, pcfh
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform

@@ -14,10 +14,14 @@ a scene is gray, hue is noise and brightness is not.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import colors_of
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.histograms import gather
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
@@ -72,6 +76,19 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
         columns.append(torch.full_like(columns[0], _CONSTANT))
         torch.mul(torch.stack(columns, dim=1), described[:, None], out=out[rows])
     return Features(out, cloud.offsets, (("contrast", CONTRAST_SIZE),), valid=(out != 0).any(dim=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrast(Descriptor):
+    """``torchreg.contrast``: spread and shift of brightness per channel, near and far."""
+
+    name: ClassVar[str] = "contrast"
+    needs_colors: ClassVar[bool] = True
+    is_batched: ClassVar[bool] = True
+
+    def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
+        """As ``torchreg.contrast``."""
+        return contrast(cloud, near, self.radius if near.radius is None else near.radius)
 
 
 def _moments(value: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:

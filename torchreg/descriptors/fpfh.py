@@ -11,9 +11,13 @@ added; PCL scales it likewise and adds nothing.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.histograms import count_votes, counted_votes, gather, inverse_square_weights, weighted_sum
 from torchreg.descriptors.pair_features import (
     ANGLE_BINS,
@@ -103,6 +107,29 @@ def fpfh(
         spfh = simplified_histograms(cloud.points, cloud.normals, near)
         values = _from_simplified(spfh, near, own=mode == "open3d")
     return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=(values != 0).any(dim=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fpfh(Descriptor):
+    """``torchreg.fpfh``: 33 numbers of local geometry.
+
+    Attributes:
+        mode: ``"open3d"`` or ``"pcl"``.
+    """
+
+    name: ClassVar[str] = "fpfh"
+    is_histogram: ClassVar[bool] = True
+    is_batched: ClassVar[bool] = True
+
+    mode: str = "open3d"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of(self.mode, "mode", ("open3d", "pcl"))
+
+    def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
+        """As ``torchreg.fpfh``."""
+        return fpfh(cloud, near, mode=self.mode)
 
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:

@@ -17,15 +17,16 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from torchreg.descriptors.color import color_values
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.descriptors.histograms import gather
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
@@ -172,6 +173,19 @@ def shipped_color(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) ->
     with torch.no_grad():
         features: Features = _shipped(str(cloud.device))(cloud, near.trimmed(), radius)
     return features
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned(Descriptor):
+    """Histograms of color differences with trained bins and weights (``torchreg.LEARNED``)."""
+
+    name: ClassVar[str] = "learned"
+    needs_colors: ClassVar[bool] = True
+    is_batched: ClassVar[bool] = True
+
+    def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
+        """By the weights that come with the library."""
+        return shipped_color(cloud, near, self.radius if near.radius is None else near.radius)
 
 
 def shipped_numbers() -> tuple[float, float]:

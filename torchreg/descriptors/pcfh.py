@@ -13,10 +13,14 @@ the saturation of its two points: the hue of gray is noise.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.color import color_values, soft_equalize
+from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.histograms import (
     count_votes,
     counted_votes,
@@ -32,6 +36,7 @@ from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CHANNELS = ("hue", "saturation", "value")
+EQUALIZATIONS = ("none", "cloud", "joint")
 MIN_NEIGHBORS = 3
 _VOTE_STEPS = 1024  # a weighted vote is a whole number of 1/1024, so that sums are exact
 
@@ -118,6 +123,54 @@ def pcfh(
             neighbor_weights=slot_weights(neighbor_weights, near, values),
         )
     return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=(out != 0).any(dim=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pcfh(Descriptor):
+    """``torchreg.pcfh``: histograms of color differences, the paper's unless told otherwise.
+
+    Attributes:
+        bins: of every channel's histogram.
+        channels: which of ``"hue"``, ``"saturation"`` and ``"value"`` are compared.
+        equalization: histogram equalization of hue: ``"none"``, per ``"cloud"``, or ``"joint"``, one map for both
+            clouds of a pair.
+        saturation_weighting: votes on hue count by the saturation of both points, so that gray has no say.
+    """
+
+    name: ClassVar[str] = "pcfh"
+    needs_colors: ClassVar[bool] = True
+    is_histogram: ClassVar[bool] = True
+    is_batched: ClassVar[bool] = True
+
+    bins: int = 11
+    channels: tuple[str, ...] = ("hue",)
+    equalization: str = "cloud"
+    saturation_weighting: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self.bins, "bins", 1)
+        expect(len(self.channels) > 0, "channels", "at least one channel", self.channels)
+        for channel in self.channels:
+            one_of(channel, "channels", CHANNELS)
+        one_of(self.equalization, "equalization", EQUALIZATIONS)
+
+    @property
+    def is_pairwise(self) -> bool:
+        """Whether hue is equalized jointly."""
+        return self.equalization == "joint"
+
+    def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
+        """As ``torchreg.pcfh``; jointly equalized, ``cloud`` holds the two clouds of one pair."""
+        return pcfh(
+            cloud,
+            near,
+            bins=self.bins,
+            channels=self.channels,
+            equalization="none" if self.is_pairwise else self.equalization,
+            saturation_weighting=self.saturation_weighting,
+            values=torch.cat(joint_color_values(cloud.select(0), cloud.select(1))) if self.is_pairwise else None,
+        )
 
 
 def difference_bins(query: Tensor, neighbor: Tensor, bins: int, *, circular: bool) -> Tensor:

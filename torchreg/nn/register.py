@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.records import Fpfh, Pcfh
+from torchreg.descriptors.fpfh import Fpfh
+from torchreg.descriptors.pcfh import Pcfh
 from torchreg.errors import expect
 from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize

@@ -17,7 +17,8 @@ from torchreg.matching.mutual import match_mutual
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions, solver_by_name
 from torchreg.registration.stopwatch import stage
-from torchreg.solvers import base_seed, poses_of_pairs
+from torchreg.solvers.batch import poses_of_pairs
+from torchreg.solvers.points import base_seed
 from torchreg.types import Correspondences, Features
 from torchreg.verification import ProposedPoses
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.records import DESCRIPTORS, Fpfh, Pcfh
+from torchreg.descriptors.fpfh import Fpfh
+from torchreg.descriptors.pcfh import Pcfh
+from torchreg.descriptors.records import DESCRIPTORS
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled

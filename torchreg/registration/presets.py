@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from torchreg.descriptors.learned import shipped_numbers
-from torchreg.descriptors.records import Fpfh, Learned
+from torchreg.descriptors.fpfh import Fpfh
+from torchreg.descriptors.learned import Learned, shipped_numbers
 from torchreg.registration.options import RegistrationOptions
 
 PAPER = RegistrationOptions()

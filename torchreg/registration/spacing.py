@@ -14,8 +14,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.pcfh import CHANNELS
-from torchreg.descriptors.records import Contrast, Fpfh, Pcfh
+from torchreg.descriptors.contrast import Contrast
+from torchreg.descriptors.fpfh import Fpfh
+from torchreg.descriptors.pcfh import CHANNELS, Pcfh
 from torchreg.errors import expect, one_of, positive
 from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import voxel_downsample

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchreg.benchmark.paper.printed import FPFH, FUSED
-from torchreg.descriptors.records import Pcfh
+from torchreg.descriptors.pcfh import Pcfh
 from torchreg.registration import PAPER
 from torchreg.registration.options import RegistrationOptions
 

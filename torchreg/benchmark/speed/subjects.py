@@ -14,9 +14,8 @@ from typing import Any
 import torch
 
 from torchreg.benchmark.speed.scene import TimedCloud, TimedScene
-from torchreg.descriptors.fpfh import fpfh
-from torchreg.descriptors.pcfh import pcfh
-from torchreg.descriptors.records import Fpfh, Pcfh
+from torchreg.descriptors.fpfh import Fpfh, fpfh
+from torchreg.descriptors.pcfh import Pcfh, pcfh
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.matching import match_mutual
 from torchreg.neighborhoods import neighbors
