@@ -260,10 +260,12 @@ def test_columns_change_the_options_of_their_pair(batch, room, tmp_path):
     assert batch(write_table(tmp_path / "pairs.csv", rows)).exit_code == 0
     records = [json.loads((tmp_path / "out" / "pairs" / f"{name}.json").read_text()) for name in "abc"]
     options = [record["options"] for record in records]
-    assert options[0]["voxel_size"] >= 0.3  # fast is 1.5 times as coarse
+    assert options[0]["voxel_size"] == 0.2
+    assert options[0]["normal_radius"] > 2.5 * 0.2  # fast is 1.5 times as coarse, where nothing is given
     assert options[0]["effort"] == "fast"
-    assert (options[1]["ransac"]["inlier_threshold"], options[1]["color"]) == (0.3, [])
-    assert (options[2]["feature_radius"], options[2]["ransac"]["hypotheses"]) == (5.0, 500)
+    assert options[1]["solver"]["inlier_threshold"] == 0.3
+    assert [record["name"] for record in options[1]["descriptors"]] == ["fpfh"]
+    assert (options[2]["descriptors"][0]["radius"], options[2]["solver"]["hypotheses"]) == (5.0, 500)
     assert records[1]["seed"] == 4
     assert records[2]["stages"]["given"] == {"source": 900, "target": 900}
 

@@ -12,7 +12,7 @@ import torchreg as tr
 from torchreg.benchmark.peers import METHODS
 from torchreg.cli import app as app_module
 
-UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|a number|no unit|Where to compute"
+UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
 
 
 @pytest.mark.parametrize("name", ["field", "3dmatch", "paper", "speed"])

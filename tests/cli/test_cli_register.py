@@ -40,7 +40,7 @@ def test_all_outputs_of_a_good_pair(run, room, tmp_path):
 
 def test_table_says_what_was_found(run, room):
     result = run("register", room.source, room.target, "--truth", room.truth)
-    for words in ("inlier threshold", "FPFH", "hypotheses", "fitness", "inlier_rmse", "T_target_source", "RRE", "RMSE"):
+    for words in ("inlier threshold", "fpfh", "hypotheses", "fitness", "inlier_rmse", "T_target_source", "RRE", "RMSE"):
         assert words in result.stdout
     assert result.stdout.rstrip().endswith("registered")
     assert "not registered" not in result.stdout
@@ -82,11 +82,13 @@ def test_options_stand_over_the_preset(run, room):
     words = [*lengths, "--hypotheses", "9000", "--confidence", "1", "--no-color", "--preset", "paper"]
     found = json.loads(run("register", room.source, room.target, "--json", "-", *words).stdout)
     options = found["options"]
-    assert (options["normal_radius"], options["feature_radius"], options["color_radius"]) == (0.3, 0.6, 0.5)
-    assert (options["ransac"]["inlier_threshold"], options["ransac"]["confidence"]) == (0.11, 1)
-    assert found["counts"]["hypotheses_drawn"] <= 9000 == options["ransac"]["hypotheses"]
-    assert (options["color"], options["color_weights"], options["voxel_size"]) == ([], [], None)
-    assert options["feature_max_neighbors"] == tr.PAPER.feature_max_neighbors
+    assert (options["normal_radius"], options["voxel_size"], options["weights"]) == (0.3, None, [1.0])
+    (geometry,) = options["descriptors"]
+    assert (geometry["name"], geometry["radius"]) == ("fpfh", 0.6)
+    assert geometry["max_neighbors"] == tr.PAPER.feature_max_neighbors
+    solver = options["solver"]
+    assert (solver["name"], solver["inlier_threshold"], solver["confidence"]) == ("ransac", 0.11, 1)
+    assert found["counts"]["hypotheses_drawn"] <= 9000 == solver["hypotheses"]
 
 
 def test_voxel_sets_the_scale_of_what_is_not_given(run, room):
@@ -95,7 +97,7 @@ def test_voxel_sets_the_scale_of_what_is_not_given(run, room):
 
     fine, coarse = options(), options("--voxel", "0.3", "--inlier-threshold", "0.2")
     assert coarse["voxel_size"] == 0.3
-    assert coarse["ransac"]["inlier_threshold"] == 0.2
+    assert coarse["solver"]["inlier_threshold"] == 0.2
     assert 0.4 < coarse["normal_radius"] < 0.9  # twice the spacing, which is about the voxel's edge
     assert coarse["normal_radius"] > 1.5 * fine["normal_radius"]
 
@@ -181,7 +183,7 @@ def test_explain(run, room):
 def test_effort_and_solver(run, room, words, effort, solver):
     """What is not told stays as the preset has it."""
     found = json.loads(run("register", room.source, room.target, "--json", "-", *words).stdout)
-    assert (found["options"]["effort"], found["options"]["solver"]) == (effort, solver)
+    assert (found["options"]["effort"], found["options"]["solver"]["name"]) == (effort, solver)
     origins = [proposal["origin"] for proposal in found["stages"]["proposals"]]
     assert origins[0].endswith(solver)
     assert (len(origins) > 1) == (effort == "balanced")

@@ -111,8 +111,9 @@ def test_fields():
     assert (found["success"], found["reason"], found["failure"], found["notes"]) == (True, "", None, ["no colors"])
     assert (found["seed"], found["source"], found["target"]) == (7, "a.ply", "b.ply")
     assert (found["fitness"], found["inlier_rmse"]) == (0.75, 0.01)
-    assert found["options"]["ransac"]["hypotheses"] == 600_000
-    assert found["options"]["color_channels"] == ["hue"]
+    assert found["options"]["solver"]["hypotheses"] == 600_000
+    assert found["options"]["descriptors"][1]["channels"] == ["hue"]
+    assert not any(name.startswith("_") for name in found["options"])
     assert found["seconds"] == {"normals": 0.5, "ransac": None}
     assert found["versions"]["torch"] == torch.__version__
     assert found["versions"]["python"] == platform.python_version()

@@ -63,8 +63,8 @@ def test_json_on_standard_output_stands_alone(run, files):
     assert found["features"] == "fpfh"
     assert found["run"]["seed"] == 3
     assert found["options"]["voxel_size"] == 0.2
-    assert found["options"]["ransac"]["hypotheses"] == 20000
-    assert found["options"]["ransac"]["confidence"] < 1
+    assert found["options"]["solver"]["hypotheses"] == 20000
+    assert found["options"]["solver"]["confidence"] < 1
     assert found["torchreg"]["truth"] is None
     assert found["versions"]["open3d"]
     assert result.stderr.strip() == "torchreg: FPFH agree; torchreg registered"
@@ -79,7 +79,7 @@ def test_json_to_a_file_comes_beside_the_table(run, files, tmp_path):
 def test_paper_lengths_are_in_meters(run, files):
     result = run(files / "source.ply", files / "target.ply", "--preset", "paper", "--points", "1000", "--json", "-")
     found = json.loads(result.stdout)
-    assert found["options"]["feature_radius"] == tr.PAPER.feature_radius
+    assert found["options"]["descriptors"][0]["radius"] == tr.PAPER.feature_radius
     assert found["points"] == {"source": 1000, "target": 1000}
 
 

@@ -78,7 +78,7 @@ def test_plain_numbers_survive_json(comparison):
     assert found["matches"]["shared"] == comparison.shared_matches
     assert torch.tensor(found["open3d"]["T_target_source"]).shape == (4, 4)
     assert found["torchreg"]["truth"]["rre_degrees"] == comparison.torchreg.truth.rre_degrees
-    assert found["options"]["ransac"]["inlier_threshold"] == OPTIONS.ransac.inlier_threshold
+    assert found["options"]["solver"]["inlier_threshold"] == OPTIONS.inlier_threshold
     strange = replace(comparison, torchreg=replace(comparison.torchreg, fitness=math.nan))
     assert strange.to_dict()["torchreg"]["fitness"] is None
 

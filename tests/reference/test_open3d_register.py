@@ -13,7 +13,7 @@ from refusals import refuses
 import torchreg as tr
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference import open3d
-from torchreg.reference.pair import _match
+from torchreg.reference.pair import PairOutcome, _match
 from torchreg.registration import options_for
 
 PAIR = room_pair(4000, seed=1)
@@ -28,7 +28,7 @@ def test_a_room_is_registered(features):
     assert tr.metrics.rte(PAIR.T_target_source, result.T_target_source) < 0.4
     assert result.options == (OPTIONS,)
     assert [name for name, _ in result.seconds] == [
-        *("options", "downsample", "neighbors and normals", "descriptors", "matching", "hypotheses")
+        *("downsample", "neighbors and normals", "descriptors", "matching", "hypotheses")
     ]
     assert all(seconds >= 0 for _, seconds in result.seconds)
     fit = open3d.evaluate(PAIR.source, PAIR.target, result.T_target_source, OPTIONS.ransac.inlier_threshold)
@@ -95,7 +95,7 @@ def test_a_batch_holds_each_pair_and_the_failed_one_its_reason():
 
 
 def test_no_hypothesis_is_a_reason():
-    hopeless = replace(OPTIONS, ransac=replace(OPTIONS.ransac, inlier_threshold=1e-9, hypotheses=500))
+    hopeless = replace(OPTIONS, solver=tr.RansacOptions(inlier_threshold=1e-9, hypotheses=500))
     result = open3d.register(PAIR.source, PAIR.target, hopeless)
     assert not result.success[0]
     assert "no hypothesis left" in result.reason[0]
@@ -103,7 +103,7 @@ def test_no_hypothesis_is_a_reason():
 
 
 def test_too_few_matches_are_a_reason():
-    greedy = replace(OPTIONS, ransac=replace(OPTIONS.ransac, sample_size=5000))
+    greedy = replace(OPTIONS, solver=tr.RansacOptions(inlier_threshold=OPTIONS.inlier_threshold, sample_size=5000))
     result = open3d.register(PAIR.source, PAIR.target, greedy)
     assert not result.success[0]
     assert "too few matches" in result.reason[0]
@@ -114,13 +114,21 @@ def features_of(values, valid=None):
     return tr.Features(values, torch.tensor([0, len(values)]), (("f", values.shape[1]),), valid)
 
 
+def matched(source, target, *, everything):
+    cloud = tr.Clouds(points=torch.zeros(0, 3))
+    outcome = PairOutcome(cloud, cloud)
+    _match(outcome, source, target, everything=everything)
+    return outcome
+
+
 @pytest.mark.parametrize("mutual", [3, 9, 10, 30])
 def test_few_mutual_matches_fall_back_to_one_way_as_in_open3d(mutual):
     # 100 source points, of which all but a few have one and the same nearest target
     line = torch.arange(100, dtype=torch.float64)
     source = features_of(torch.where(line < mutual, 10 * line, 1000 + line)[:, None])
     target = features_of(torch.cat([10 * line[: mutual - 1], torch.tensor([10 * (mutual - 1.0)])])[:, None])
-    pairs, notes = _match(source, target, everything=True)
+    outcome = matched(source, target, everything=True)
+    pairs = outcome.matches
     o3d = load_open3d()
     made = []
     for features in (source, target):
@@ -129,18 +137,17 @@ def test_few_mutual_matches_fall_back_to_one_way_as_in_open3d(mutual):
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         expected = np.asarray(o3d.pipelines.registration.correspondences_from_features(*made, mutual_filter=True))
     np.testing.assert_array_equal(pairs.numpy(), expected)
-    assert (len(pairs) == 100) == (mutual < 10) == bool(notes)
+    assert (len(pairs) == 100) == (mutual < 10) == bool(outcome.notes)
 
 
 def test_rows_that_are_not_valid_are_left_out_of_fused_features():
     values = torch.tensor([[0.0], [1.0], [2.0], [3.0]])
     valid = torch.tensor([False, True, True, True])
-    pairs, _ = _match(features_of(values, valid), features_of(values, ~valid.flip(0) | valid), everything=False)
-    assert pairs.tolist() == [[1, 1], [2, 2], [3, 3]]
-    everything, _ = _match(features_of(values, valid), features_of(values, valid), everything=True)
-    assert len(everything) == 4
-    nothing, _ = _match(features_of(values, ~valid & valid), features_of(values), everything=False)
-    assert nothing.shape == (0, 2)
+    chosen = matched(features_of(values, valid), features_of(values, ~valid.flip(0) | valid), everything=False)
+    assert chosen.matches.tolist() == [[1, 1], [2, 2], [3, 3]]
+    assert len(matched(features_of(values, valid), features_of(values, valid), everything=True).matches) == 4
+    nothing = matched(features_of(values, ~valid & valid), features_of(values), everything=False)
+    assert nothing.matches.shape == (0, 2)
 
 
 def test_what_does_not_fit_is_refused():

@@ -117,7 +117,7 @@ def test_effort_and_solver_override_the_options(furnished):
     plain = tr.register(source, target, options, effort="plain", solver="ransac")
     assert plain.probability is None
     assert plain.options[0].effort == "plain"
-    assert plain.options[0].solver == "ransac"
+    assert plain.options[0].solver == tr.RansacOptions(inlier_threshold=options.inlier_threshold)
     assert len(plain.stages[0].proposals) == 1
     assert plain.stages[0].proposals[0].origin == "fpfh, ransac"
     thorough = tr.register(source, target, options, effort="thorough")
@@ -179,8 +179,8 @@ def test_what_no_registration_can_use_is_refused_beside_its_neighbors(furnished,
     stray = tr.Clouds(points=torch.cat([source.points, torch.full((1, 3), 1e20)]), viewpoint=source.viewpoint)
     wide = tr.Clouds(points=torch.cat([source.points, torch.full((1, 3), 1e7)]), viewpoint=source.viewpoint)
     batch = tr.Clouds.pack([lost, stray, wide, source]), tr.Clouds.pack([target] * 4)
-    options = tr.derive_options(source, target)[0]
-    result = tr.register(*batch, options, effort=effort)
+    options = tr.derive_options(source, target, effort=effort)[0]
+    result = tr.register(*batch, options)
     assert result.success.tolist()[:2] == [False, False]
     assert "origin" in result.reason[0]
     assert "too far out" in result.reason[1]

@@ -50,7 +50,7 @@ def test_registration_table(result):
         f"{float(result.fitness[0]):.4f}",
         "RRE 0.5 degrees, RTE 0.0123 m, RMSE 0.02 m",
         "descriptors",
-        "contrast (weight 0.8)",
+        "weight 0.8",
     ):
         assert words in text
     assert text.rstrip().endswith("registered")
