@@ -59,7 +59,13 @@ Voxel = Annotated[
 ]
 Experiments = Annotated[
     list[int] | None,
-    typer.Option("--experiment", metavar="1..5", min=1, max=5, help="Only this experiment, from 1 to 5; may be given several times."),
+    typer.Option(
+        "--experiment",
+        metavar="1..5",
+        min=1,
+        max=5,
+        help="Only this experiment, from 1 to 5; may be given several times.",
+    ),
 ]
 Seeds = Annotated[
     int | None,
