@@ -56,19 +56,12 @@ class Oriented(NamedTuple):
 
 
 class PairFeatures(NamedTuple):
-    """What the three histograms need, each (R, K).
+    """What the three histograms need, each (R, K)."""
 
-    Attributes:
-        cosine: n1.n2, the first coordinate of the direction f1.
-        sine: w.n2, the second.
-        f2: v.n2 in [-1, 1].
-        f3: cosine of the angle between line and first normal, in [-1, 1].
-    """
-
-    cosine: Tensor
-    sine: Tensor
-    f2: Tensor
-    f3: Tensor
+    cosine: Tensor  # n1.n2, the first coordinate of the direction f1
+    sine: Tensor  # w.n2, the second
+    f2: Tensor  # v.n2 in [-1, 1]
+    f3: Tensor  # cosine of the angle between line and first normal, in [-1, 1]
 
 
 def pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:

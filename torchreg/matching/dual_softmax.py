@@ -57,17 +57,11 @@ def dual_softmax(
 
 
 class Masks(NamedTuple):
-    """Rows and columns that take part.
+    """Rows and columns that take part."""
 
-    Attributes:
-        source: (..., N) bool.
-        target: (..., M) bool.
-        pair: (..., N, M) bool, both.
-    """
-
-    source: Tensor
-    target: Tensor
-    pair: Tensor
+    source: Tensor  # (..., N) bool
+    target: Tensor  # (..., M) bool
+    pair: Tensor  # (..., N, M) bool, both
 
 
 def score_masks(scores: Tensor, source_valid: Tensor | None, target_valid: Tensor | None) -> Masks:

@@ -105,20 +105,13 @@ def _usable(features: Features, begin: int, end: int) -> Tensor:
 
 
 class CandidatePairs(NamedTuple):
-    """Pairs of a query and one of its nearest.
+    """Pairs of a query and one of its nearest."""
 
-    Attributes:
-        source, target: (C,) int64, rows of the query and of the table.
-        distance: (C,) float64.
-        mutual: (C,) bool, certainly mutual.
-        undecided: (C,) bool, not known; a pair that is neither is certainly not mutual.
-    """
-
-    source: Tensor
-    target: Tensor
-    distance: Tensor
-    mutual: Tensor
-    undecided: Tensor
+    source: Tensor  # (C,) int64, rows of the query and of the table
+    target: Tensor  # (C,) int64, rows of the query and of the table
+    distance: Tensor  # (C,) float64
+    mutual: Tensor  # (C,) bool, certainly mutual
+    undecided: Tensor  # (C,) bool, not known; a pair that is neither is certainly not mutual
 
 
 def candidate_pairs(forth: FeatureNearest, neighbors: int) -> CandidatePairs:

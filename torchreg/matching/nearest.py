@@ -28,22 +28,15 @@ _CANDIDATES = 1 << 18
 
 
 class FeatureNearest(NamedTuple):
-    """The nearest rows of the other set for every row.
+    """The nearest rows of the other set for every row."""
 
-    Attributes:
-        row: (N, K) int64, ascending by (distance, row).
-        distance: (N, K) float64, Euclidean.
-        clear: (N,) bool, the product alone tells the row's nearest from all others.
-        others: (K, M) entries of the product, per row of the table the least over the queries, without the nearest of
-            clear queries: at most one of a tile, ascending; infinity where there are fewer.
-        factors: of the product.
-    """
-
-    row: Tensor
-    distance: Tensor
-    clear: Tensor
+    row: Tensor  # (N, K) int64, ascending by (distance, row)
+    distance: Tensor  # (N, K) float64, Euclidean
+    clear: Tensor  # (N,) bool, the product alone tells the row's nearest from all others
+    # (K, M) entries of the product, per row of the table the least over the queries, without the nearest of clear
+    # queries: at most one of a tile, ascending; infinity where there are fewer
     others: Tensor
-    factors: Product
+    factors: Product  # of the product
 
 
 def feature_nearest(query: Tensor, table: Tensor, count: int = 1) -> FeatureNearest:

@@ -21,23 +21,14 @@ _NARROW = 256  # of so few are found faster one after another than by ``topk``
 
 
 class Product(NamedTuple):
-    """Factors of the matrix of squared distances, in units of ``scale`` squared.
+    """Factors of the matrix of squared distances, in units of ``scale`` squared."""
 
-    Attributes:
-        left: (N, D + 2) factor of the queries.
-        right: (D + 2, M') factor of the table; columns from M on are infinitely far from everything.
-        left_norm: (N,) float64, length of the centered queries.
-        right_norm: (M,) float64, length of the centered rows of the table.
-        scale: () float64, a power of two.
-        width: members of a group of columns are so far apart; a divisor of M'.
-    """
-
-    left: Tensor
-    right: Tensor
-    left_norm: Tensor
-    right_norm: Tensor
-    scale: Tensor
-    width: int
+    left: Tensor  # (N, D + 2) factor of the queries
+    right: Tensor  # (D + 2, M') factor of the table; columns from M on are infinitely far from everything
+    left_norm: Tensor  # (N,) float64, length of the centered queries
+    right_norm: Tensor  # (M,) float64, length of the centered rows of the table
+    scale: Tensor  # () float64, a power of two
+    width: int  # members of a group of columns are so far apart; a divisor of M'
 
     def error(self, norm: Tensor, distance: Tensor) -> Tensor:
         """Largest error of entries whose true distance is at most ``distance`` (...), scaled; (...) float64.

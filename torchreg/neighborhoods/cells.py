@@ -153,21 +153,13 @@ def k_smallest(values: Tensor, index: Tensor, count: int) -> tuple[Tensor, Tenso
 
 
 class Grid(NamedTuple):
-    """Points sorted by cell, and where the runs around each of the M cells that hold points begin.
+    """Points sorted by cell, and where the runs around each of the M cells that hold points begin."""
 
-    Attributes:
-        order: (P,) int64, rows of the points, sorted by cell.
-        cell: (P,) int64, the cell of every point, 0..M-1.
-        size: (M,) int64, points in every cell.
-        begin: (M, 9) int64, the first place in ``order`` of each run of points around a cell.
-        length: (M, 9) int64, the length of each run.
-    """
-
-    order: Tensor
-    cell: Tensor
-    size: Tensor
-    begin: Tensor
-    length: Tensor
+    order: Tensor  # (P,) int64, rows of the points, sorted by cell
+    cell: Tensor  # (P,) int64, the cell of every point, 0..M-1
+    size: Tensor  # (M,) int64, points in every cell
+    begin: Tensor  # (M, 9) int64, the first place in ``order`` of each run of points around a cell
+    length: Tensor  # (M, 9) int64, the length of each run
 
 
 def make_grid(points: Tensor, cloud: Tensor, limits: Tensor) -> Grid:

@@ -21,17 +21,11 @@ _CHUNK_WIDTH = 8  # temporaries of a row that should stay in the cache together
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The blocks of every pair.
+    """The blocks of every pair."""
 
-    Attributes:
-        pair: (n,) int64, ascending.
-        real: (n, 256) bool, false for the rows that fill up the last block of a pair.
-        counts: the number of blocks of every pair.
-    """
-
-    pair: Tensor
-    real: Tensor
-    counts: tuple[int, ...]
+    pair: Tensor  # (n,) int64, ascending
+    real: Tensor  # (n, 256) bool, false for the rows that fill up the last block of a pair
+    counts: tuple[int, ...]  # the number of blocks of every pair
 
     @staticmethod
     def of(lengths: list[int], device: torch.device) -> Blocks:

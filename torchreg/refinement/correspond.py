@@ -32,16 +32,11 @@ _ROUNDING = 1e-12  # relative, on distances: a bound that close is not relied on
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """The target points of all pairs of a batch.
+    """The target points of all pairs of a batch."""
 
-    Attributes:
-        values: (A, N) float64: x, y, z about each cloud's center, then the other columns of the kind of ICP.
-        first: for every pair, the row of its cloud's first point.
-        search: for every pair, in the points of its cloud; rows count from the first. Pairs may share a cloud.
-    """
-
-    values: Tensor
-    first: tuple[int, ...]
+    values: Tensor  # (A, N) float64: x, y, z about each cloud's center, then the other columns of the kind of ICP
+    first: tuple[int, ...]  # for every pair, the row of its cloud's first point
+    # for every pair, in the points of its cloud; rows count from the first. Pairs may share a cloud
     search: tuple[Search, ...]
 
 

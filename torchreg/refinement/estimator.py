@@ -15,37 +15,22 @@ from torchreg.types import Clouds
 
 
 class MatchedBlocks(NamedTuple):
-    """Some rows of the batch with their correspondences; k blocks of 256 rows, float64.
+    """Some rows of the batch with their correspondences; k blocks of 256 rows, float64."""
 
-    Attributes:
-        moved: (3, k, 256) source points in the target's frame, meters.
-        partner: (A, k, 256) the target points nearest to them: x, y, z and the other columns of the kind.
-        inside: (k, 256) 1 where the two are a correspondence, 0 elsewhere.
-        extra: (E, k, 256) the kind's columns of source points.
-        kernel_scale: (k, 1).
-        color_weight: (k, 1).
-    """
-
-    moved: Tensor
-    partner: Tensor
-    inside: Tensor
-    extra: Tensor
-    kernel_scale: Tensor
-    color_weight: Tensor
+    moved: Tensor  # (3, k, 256) source points in the target's frame, meters
+    partner: Tensor  # (A, k, 256) the target points nearest to them: x, y, z and the other columns of the kind
+    inside: Tensor  # (k, 256) 1 where the two are a correspondence, 0 elsewhere
+    extra: Tensor  # (E, k, 256) the kind's columns of source points
+    kernel_scale: Tensor  # (k, 1)
+    color_weight: Tensor  # (k, 1)
 
 
 class Update(NamedTuple):
-    """A rigid motion in the target's centered frame, to be made after the transform so far.
+    """A rigid motion in the target's centered frame, to be made after the transform so far."""
 
-    Attributes:
-        rotation: (B, 3, 3) float64.
-        translation: (B, 3) float64, meters.
-        usable: (B,) bool; where it is false the correspondences do not determine the motion.
-    """
-
-    rotation: Tensor
-    translation: Tensor
-    usable: Tensor
+    rotation: Tensor  # (B, 3, 3) float64
+    translation: Tensor  # (B, 3) float64, meters
+    usable: Tensor  # (B,) bool; where it is false the correspondences do not determine the motion
 
 
 class Estimator(NamedTuple):

@@ -21,46 +21,27 @@ OPEN_MOTION = "the correspondences leave the motion open: too few, or all on a l
 
 
 class Criteria(NamedTuple):
-    """The numbers of every pair at one level.
+    """The numbers of every pair at one level."""
 
-    Attributes:
-        max_distance: (B,) float64, meters.
-        kernel_scale: (B,) float64.
-        color_weight: (B,) float64.
-        iterations: B numbers.
-        relative_fitness: B numbers.
-        relative_rmse: B numbers, meters.
-    """
-
-    max_distance: Tensor
-    kernel_scale: Tensor
-    color_weight: Tensor
-    iterations: Sequence[int]
-    relative_fitness: Sequence[float]
-    relative_rmse: Sequence[float]
+    max_distance: Tensor  # (B,) float64, meters
+    kernel_scale: Tensor  # (B,) float64
+    color_weight: Tensor  # (B,) float64
+    iterations: Sequence[int]  # B numbers
+    relative_fitness: Sequence[float]  # B numbers
+    relative_rmse: Sequence[float]  # B numbers, meters
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Transforms and progress of the pairs; its tensors and lists are written in place.
+    """Transforms and progress of the pairs; its tensors and lists are written in place."""
 
-    Attributes:
-        rotation: (B, 3, 3) float64, between the centered frames.
-        translation: (B, 3) float64, meters, likewise.
-        fitness: (B,) float64.
-        inlier_rmse: (B,) float64, meters.
-        iterations: B numbers, updates made.
-        converged: B times whether.
-        failed: B reasons why a pair cannot go on, empty where it can.
-    """
-
-    rotation: Tensor
-    translation: Tensor
-    fitness: Tensor
-    inlier_rmse: Tensor
-    iterations: list[int]
-    converged: list[bool]
-    failed: list[str]
+    rotation: Tensor  # (B, 3, 3) float64, between the centered frames
+    translation: Tensor  # (B, 3) float64, meters, likewise
+    fitness: Tensor  # (B,) float64
+    inlier_rmse: Tensor  # (B,) float64, meters
+    iterations: list[int]  # B numbers, updates made
+    converged: list[bool]  # B times whether
+    failed: list[str]  # B reasons why a pair cannot go on, empty where it can
 
     @staticmethod
     def start(T: Tensor, failed: list[str]) -> State:

@@ -22,15 +22,10 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 class Pairing(NamedTuple):
-    """The clouds of B pairs, by their numbers in a batch of sources and in one of targets.
+    """The clouds of B pairs, by their numbers in a batch of sources and in one of targets."""
 
-    Attributes:
-        source: B numbers.
-        target: B numbers.
-    """
-
-    source: Sequence[int]
-    target: Sequence[int]
+    source: Sequence[int]  # B numbers
+    target: Sequence[int]  # B numbers
 
 
 def one_to_one(pairs: int) -> Pairing:
@@ -58,19 +53,12 @@ def _needed(clouds: Clouds, which: Sequence[int]) -> tuple[Clouds, list[int]]:
 
 
 class Frames(NamedTuple):
-    """The zeros of both frames of every pair, (B, 3) float64, meters.
+    """The zeros of both frames of every pair, (B, 3) float64, meters."""
 
-    Attributes:
-        source_center: relative to the source's origin: the mean of its points.
-        target_center: likewise.
-        source_origin: of the clouds.
-        target_origin: of the clouds.
-    """
-
-    source_center: Tensor
-    target_center: Tensor
-    source_origin: Tensor
-    target_origin: Tensor
+    source_center: Tensor  # relative to the source's origin: the mean of its points
+    target_center: Tensor  # likewise
+    source_origin: Tensor  # of the clouds
+    target_origin: Tensor  # of the clouds
 
     def of(self, pairs: list[int]) -> Frames:
         """The frames of some of the pairs."""

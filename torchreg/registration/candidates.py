@@ -24,21 +24,13 @@ from torchreg.verification import ProposedPoses
 
 
 class Recipe(NamedTuple):
-    """One way from descriptors to poses.
+    """One way from descriptors to poses."""
 
-    Attributes:
-        blocks: numbers of the descriptors that are fused.
-        names: of these.
-        weights: of these.
-        neighbors: nearest rows that may match.
-        solver: by name.
-    """
-
-    blocks: tuple[int, ...]
-    names: tuple[str, ...]
-    weights: tuple[float, ...]
-    neighbors: int
-    solver: str
+    blocks: tuple[int, ...]  # numbers of the descriptors that are fused
+    names: tuple[str, ...]  # of these
+    weights: tuple[float, ...]  # of these
+    neighbors: int  # nearest rows that may match
+    solver: str  # by name
 
     @property
     def origin(self) -> str:

@@ -35,19 +35,12 @@ _SPACING_NEIGHBOR = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """What one cloud is described with: equal ones give equal clouds the same description.
+    """What one cloud is described with: equal ones give equal clouds the same description."""
 
-    Attributes:
-        voxel_size: meters, as in ``RegistrationOptions``.
-        normal_radius: meters, likewise.
-        normal_max_neighbors: likewise.
-        descriptors: in the order of the features.
-    """
-
-    voxel_size: float | None = length(None)
-    normal_radius: float = length()
-    normal_max_neighbors: int
-    descriptors: tuple[Descriptor, ...]
+    voxel_size: float | None = length(None)  # meters, as in ``RegistrationOptions``
+    normal_radius: float = length()  # meters, likewise
+    normal_max_neighbors: int  # likewise
+    descriptors: tuple[Descriptor, ...]  # in the order of the features
 
     @property
     def max_neighbors(self) -> int:

@@ -18,21 +18,14 @@ _MOST_VOXELS = 1e6  # a side: what voxels can be numbered by
 
 
 class CloudFacts(NamedTuple):
-    """What is known of one cloud as it was given.
+    """What is known of one cloud as it was given."""
 
-    Attributes:
-        points: how many.
-        extent: meters, the longest edge of its bounding box; 0 where that means nothing.
-        defect: why it cannot be registered, ``{}`` in its text standing for its role in a pair; ``None`` where it can.
-        colors: the least and the greatest number among its colors; ``None`` without colors.
-        faced: whether its viewpoint is known.
-    """
-
-    points: int
-    extent: float
+    points: int  # how many
+    extent: float  # meters, the longest edge of its bounding box; 0 where that means nothing
+    # why it cannot be registered, ``{}`` in its text standing for its role in a pair; ``None`` where it can
     defect: Failure | None
-    colors: tuple[float, float] | None
-    faced: bool
+    colors: tuple[float, float] | None  # the least and the greatest number among its colors; ``None`` without colors
+    faced: bool  # whether its viewpoint is known
 
 
 def facts_of(clouds: Clouds) -> tuple[CloudFacts, ...]:

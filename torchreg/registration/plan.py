@@ -38,19 +38,12 @@ _NOTHING = -1  # the number of a cloud without points, which takes the place of 
 
 
 class _Job(NamedTuple):
-    """A cloud to be described.
+    """A cloud to be described."""
 
-    Attributes:
-        cloud: its number.
-        description: with what.
-        pair: the pair that it is described for, where a descriptor looks at both clouds; else -1.
-        side: 0 for the source of that pair, 1 for the target; else 0.
-    """
-
-    cloud: int
-    description: Description
-    pair: int = -1
-    side: int = 0
+    cloud: int  # its number
+    description: Description  # with what
+    pair: int = -1  # the pair that it is described for, where a descriptor looks at both clouds; else -1
+    side: int = 0  # 0 for the source of that pair, 1 for the target; else 0
 
 
 class Plan:

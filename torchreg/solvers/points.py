@@ -36,29 +36,17 @@ class MatchedPoints(NamedTuple):
 
 
 class PairPoints(NamedTuple):
-    """The correspondences of B pairs side by side, padded to the longest.
+    """The correspondences of B pairs side by side, padded to the longest."""
 
-    Attributes:
-        source: (3, B, M) float64, meters, about each pair's mean; zeros behind the last of a pair.
-        target: (3, B, M) float64, likewise.
-        valid: (B, M) bool, where a correspondence stands.
-        score: (B, M) of the correspondences.
-        counts: how many each pair has.
-        thresholds: inlier threshold of each pair, meters.
-        source_center: (B, 3) float64, the means, meters.
-        target_center: (B, 3) float64, likewise.
-        seeds: of each pair.
-    """
-
-    source: Tensor
-    target: Tensor
-    valid: Tensor
-    score: Tensor
-    counts: tuple[int, ...]
-    thresholds: tuple[float, ...]
-    source_center: Tensor
-    target_center: Tensor
-    seeds: tuple[int, ...]
+    source: Tensor  # (3, B, M) float64, meters, about each pair's mean; zeros behind the last of a pair
+    target: Tensor  # (3, B, M) float64, likewise
+    valid: Tensor  # (B, M) bool, where a correspondence stands
+    score: Tensor  # (B, M) of the correspondences
+    counts: tuple[int, ...]  # how many each pair has
+    thresholds: tuple[float, ...]  # inlier threshold of each pair, meters
+    source_center: Tensor  # (B, 3) float64, the means, meters
+    target_center: Tensor  # (B, 3) float64, likewise
+    seeds: tuple[int, ...]  # of each pair
 
     def pair(self, place: int) -> MatchedPoints:
         """One of the pairs, as a solver takes it."""

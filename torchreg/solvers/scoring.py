@@ -106,25 +106,15 @@ QUALITIES: dict[str, Quality] = {"count": by_count, "msac": by_msac}
 
 
 class Scored(NamedTuple):
-    """Hypotheses in float64 with exact scores.
+    """Hypotheses in float64 with exact scores."""
 
-    Attributes:
-        rotation: (3, 3, H).
-        translation: (3, H).
-        pair: (H,) int64, whose hypothesis it is.
-        inliers: (H, M) bool, M being that of the longest pair.
-        support: (H,) int64, the number of inliers.
-        error: (H,) sum of squared residuals of the inliers, square meters.
-        quality: (H,) float64, what hypotheses are compared by: the higher, the better.
-    """
-
-    rotation: Tensor
-    translation: Tensor
-    pair: Tensor
-    inliers: Tensor
-    support: Tensor
-    error: Tensor
-    quality: Tensor
+    rotation: Tensor  # (3, 3, H)
+    translation: Tensor  # (3, H)
+    pair: Tensor  # (H,) int64, whose hypothesis it is
+    inliers: Tensor  # (H, M) bool, M being that of the longest pair
+    support: Tensor  # (H,) int64, the number of inliers
+    error: Tensor  # (H,) sum of squared residuals of the inliers, square meters
+    quality: Tensor  # (H,) float64, what hypotheses are compared by: the higher, the better
 
     def take(self, index: Tensor) -> Scored:
         """The hypotheses ``index`` (K,), in that order."""

@@ -31,32 +31,20 @@ class MatchEndpoints(NamedTuple):
 
 
 class MatchCells(NamedTuple):
-    """The matches of one proposal in cells of their source points, with other pairings of the same points.
+    """The matches of one proposal in cells of their source points, with other pairings of the same points."""
 
-    Attributes:
-        source: (3, M) meters, cell by cell.
-        targets: (17, 3, M) the target points that are matched to them, then those of 16 other pairings.
-        last: (C,) int64, the last match of every cell.
-        size: (C,) int64, matches in every cell.
-        threshold: meters, of an inlier.
-    """
-
-    source: Tensor
-    targets: Tensor
-    last: Tensor
-    size: Tensor
-    threshold: float
+    source: Tensor  # (3, M) meters, cell by cell
+    targets: Tensor  # (17, 3, M) the target points that are matched to them, then those of 16 other pairings
+    last: Tensor  # (C,) int64, the last match of every cell
+    size: Tensor  # (C,) int64, matches in every cell
+    threshold: float  # meters, of an inlier
 
 
 class Agreement(NamedTuple):
-    """Of H poses.
+    """Of H poses."""
 
-    Attributes:
-        support: (H,) int64, matches within the threshold.
-        surprise: (H,) float64, -log10 of the probability that unrelated matches agree in as many places; at least 0.
-    """
-
-    support: Tensor
+    support: Tensor  # (H,) int64, matches within the threshold
+    # (H,) float64, -log10 of the probability that unrelated matches agree in as many places; at least 0
     surprise: Tensor
 
 

@@ -35,19 +35,12 @@ class Run(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """H poses of G pairs: x_target = R x_source + t in the frames of the points, origins left out.
+    """H poses of G pairs: x_target = R x_source + t in the frames of the points, origins left out."""
 
-    Attributes:
-        rotation: (H, 3, 3) float64.
-        translation: (H, 3) float64, meters.
-        origin: (H,) int64, which proposal each came from; probes have negative numbers.
-        pair: (H,) int64, which pair each belongs to; ascending, except between ``joined`` and an ordering.
-    """
-
-    rotation: Tensor
-    translation: Tensor
-    origin: Tensor
-    pair: Tensor
+    rotation: Tensor  # (H, 3, 3) float64
+    translation: Tensor  # (H, 3) float64, meters
+    origin: Tensor  # (H,) int64, which proposal each came from; probes have negative numbers
+    pair: Tensor  # (H,) int64, which pair each belongs to; ascending, except between ``joined`` and an ordering
 
     def take(self, rows: Tensor | slice) -> Poses:
         """The poses ``rows`` (K,), in that order."""
@@ -75,23 +68,14 @@ class Poses(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """H poses with what supports them, (H,) each.
+    """H poses with what supports them, (H,) each."""
 
-    Attributes:
-        poses: the poses.
-        evidence: of the clouds.
-        support: int64, inliers among the matches of the proposal whose agreement is least likely by chance.
-        proposal: int64, which proposal that is.
-        surprise: of that agreement, as a power of ten.
-        odds: log-odds of being right.
-    """
-
-    poses: Poses
-    evidence: Evidence
-    support: Tensor
-    proposal: Tensor
-    surprise: Tensor
-    odds: Tensor
+    poses: Poses  # the poses
+    evidence: Evidence  # of the clouds
+    support: Tensor  # int64, inliers among the matches of the proposal whose agreement is least likely by chance
+    proposal: Tensor  # int64, which proposal that is
+    surprise: Tensor  # of that agreement, as a power of ten
+    odds: Tensor  # log-odds of being right
 
     def take(self, rows: Tensor | slice) -> Candidates:
         """The poses ``rows`` (K,), in that order."""
@@ -104,31 +88,19 @@ class Candidates(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The candidates of G pairs and how firmly the surfaces hold the best of each.
+    """The candidates of G pairs and how firmly the surfaces hold the best of each."""
 
-    Attributes:
-        candidates: of all pairs, distinct, those of each pair best first; at least one each.
-        information: (G, 6, 6) float64 of the best poses, Open3D's convention, in the frames of the targets' files.
-        motion: the weakest motions under the best poses.
-    """
-
-    candidates: Candidates
-    information: Tensor
-    motion: WeakestMotion
+    candidates: Candidates  # of all pairs, distinct, those of each pair best first; at least one each
+    information: Tensor  # (G, 6, 6) float64 of the best poses, Open3D's convention, in the frames of the targets' files
+    motion: WeakestMotion  # the weakest motions under the best poses
 
 
 class PointMoments(NamedTuple):
-    """The moments of the points of G scans.
+    """The moments of the points of G scans."""
 
-    Attributes:
-        mean: (G, 3) float64, meters.
-        products: (G, 3, 3) float64, sums of products of distances to the mean, square meters.
-        counts: (G,) float64, points.
-    """
-
-    mean: Tensor
-    products: Tensor
-    counts: Tensor
+    mean: Tensor  # (G, 3) float64, meters
+    products: Tensor  # (G, 3, 3) float64, sums of products of distances to the mean, square meters
+    counts: Tensor  # (G,) float64, points
 
 
 def joined(parts: Sequence[Poses]) -> Poses:

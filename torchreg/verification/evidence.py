@@ -26,17 +26,11 @@ _ELEMENTS = 1 << 15  # points moved at once: what is made of them stays in the c
 
 
 class Overlap(NamedTuple):
-    """Target points that have a partner, of G pairs.
+    """Target points that have a partner, of G pairs."""
 
-    Attributes:
-        points: (3, G, L) float32, meters; those of each pair first, then zeros.
-        normals: (3, G, L) float32, zeros where there are none.
-        valid: (G, L) bool, where a point stands.
-    """
-
-    points: Tensor
-    normals: Tensor
-    valid: Tensor
+    points: Tensor  # (3, G, L) float32, meters; those of each pair first, then zeros
+    normals: Tensor  # (3, G, L) float32, zeros where there are none
+    valid: Tensor  # (G, L) bool, where a point stands
 
 
 def evidence(

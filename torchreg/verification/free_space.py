@@ -20,51 +20,31 @@ _MAX_SIDE = 512
 
 
 class RangeImage(NamedTuple):
-    """The least range that one scanner measured in every direction.
+    """The least range that one scanner measured in every direction."""
 
-    Attributes:
-        viewpoint: (3,) float, meters, in the frame of the points.
-        ranges: (S, S), meters; infinite where nothing was seen. Each cell holds the least of itself and its neighbors.
-        seen: (S, S) bool, cells in which the scanner measured something.
-        near: meters; closer than that the points are too sparse in angle to tell free space.
-    """
-
-    viewpoint: Tensor
+    viewpoint: Tensor  # (3,) float, meters, in the frame of the points
+    # (S, S), meters; infinite where nothing was seen. Each cell holds the least of itself and its neighbors
     ranges: Tensor
-    seen: Tensor
-    near: float
+    seen: Tensor  # (S, S) bool, cells in which the scanner measured something
+    near: float  # meters; closer than that the points are too sparse in angle to tell free space
 
 
 class RangeImages(NamedTuple):
-    """The images of G scanners, one after another.
+    """The images of G scanners, one after another."""
 
-    Attributes:
-        viewpoint: (3, G).
-        ranges: of all cells, image by image.
-        seen: likewise.
-        first: (G,) int64, where each image begins.
-        side: (G,) int64, cells along each side.
-        near: (G,).
-    """
-
-    viewpoint: Tensor
-    ranges: Tensor
-    seen: Tensor
-    first: Tensor
-    side: Tensor
-    near: Tensor
+    viewpoint: Tensor  # (3, G)
+    ranges: Tensor  # of all cells, image by image
+    seen: Tensor  # likewise
+    first: Tensor  # (G,) int64, where each image begins
+    side: Tensor  # (G,) int64, cells along each side
+    near: Tensor  # (G,)
 
 
 class Visibility(NamedTuple):
-    """How points stand to the surfaces that a scanner saw.
+    """How points stand to the surfaces that a scanner saw."""
 
-    Attributes:
-        before: (R, N) bool, well before a surface: in free space.
-        on: (R, N) bool, at the surface.
-    """
-
-    before: Tensor
-    on: Tensor
+    before: Tensor  # (R, N) bool, well before a surface: in free space
+    on: Tensor  # (R, N) bool, at the surface
 
 
 def range_image(points: Tensor, viewpoint: Tensor, spacing: float) -> RangeImage | None:

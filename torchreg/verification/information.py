@@ -20,19 +20,12 @@ _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # xx, yy, zz, xy, 
 
 
 class WeakestMotion(NamedTuple):
-    """The motions that the surfaces of G pairs resist least.
+    """The motions that the surfaces of G pairs resist least."""
 
-    Attributes:
-        strength: (G,) float64 in [0, 1]: square root of its share of the strongest motion's resistance.
-        turn: (G, 3) float64, radians about ``center``; as rotation vectors.
-        shift: (G, 3) float64, meters. Turn and shift together move the points by one meter (root mean square).
-        center: (G, 3) float64, meters.
-    """
-
-    strength: Tensor
-    turn: Tensor
-    shift: Tensor
-    center: Tensor
+    strength: Tensor  # (G,) float64 in [0, 1]: square root of its share of the strongest motion's resistance
+    turn: Tensor  # (G, 3) float64, radians about ``center``; as rotation vectors
+    shift: Tensor  # (G, 3) float64, meters. Turn and shift together move the points by one meter (root mean square)
+    center: Tensor  # (G, 3) float64, meters
 
 
 def information_matrices(points: Tensor, valid: Tensor) -> Tensor:

@@ -23,21 +23,13 @@ WEIGHTS = Path(__file__).with_name("weights.json")
 
 
 class Term(NamedTuple):
-    """One term of the log-odds.
+    """One term of the log-odds."""
 
-    Attributes:
-        weight: what the fit gave it.
-        typical: its mean over right poses (of those that have colors, viewpoints).
-        prior: the weight set by hand that the fit starts from and is held to.
-        low: the evidence counts as at least this much; ``None``: unbounded.
-        high: likewise at most: beyond an overlap of 0.3, say, a pose is not the likelier.
-    """
-
-    weight: float
-    typical: float
-    prior: float
-    low: float | None = None
-    high: float | None = None
+    weight: float  # what the fit gave it
+    typical: float  # its mean over right poses (of those that have colors, viewpoints)
+    prior: float  # the weight set by hand that the fit starts from and is held to
+    low: float | None = None  # the evidence counts as at least this much; ``None``: unbounded
+    high: float | None = None  # likewise at most: beyond an overlap of 0.3, say, a pose is not the likelier
 
 
 class Evidence(NamedTuple):

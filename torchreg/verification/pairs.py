@@ -23,21 +23,13 @@ _ELEMENTS = 1 << 20
 
 
 class WorkPerPair(NamedTuple):
-    """Work spent per pair.
+    """Work spent per pair."""
 
-    Attributes:
-        poses: of every proposal, at most.
-        sample: points of each scan that poses are weighed on.
-        refined: distinct candidates that ICP refines.
-        iterations: of ICP at most.
-        accepted: the least probability of a success.
-    """
-
-    poses: int
-    sample: int
-    refined: int
-    iterations: int
-    accepted: float = ACCEPTED
+    poses: int  # of every proposal, at most
+    sample: int  # points of each scan that poses are weighed on
+    refined: int  # distinct candidates that ICP refines
+    iterations: int  # of ICP at most
+    accepted: float = ACCEPTED  # the least probability of a success
 
 
 WORK = {
@@ -56,63 +48,37 @@ class PairLengths(NamedTuple):
 
 
 class ProposedPoses(NamedTuple):
-    """What one set of features and one solver proposed for all pairs.
+    """What one set of features and one solver proposed for all pairs."""
 
-    Attributes:
-        origin: features and solver in words.
-        matches: of B pairs.
-        poses: one per pair.
-    """
-
-    origin: str
-    matches: Correspondences
-    poses: Sequence[PairPoses]
+    origin: str  # features and solver in words
+    matches: Correspondences  # of B pairs
+    poses: Sequence[PairPoses]  # one per pair
 
 
 class CenteredPair(NamedTuple):
-    """One pair about its clouds' middles.
+    """One pair about its clouds' middles."""
 
-    Attributes:
-        source: one cloud; its origin takes the middle up.
-        target: likewise.
-        matches: of every proposal, between those frames.
-        poses: of all proposals, between those frames.
-        lengths: meters.
-    """
-
-    source: Clouds
-    target: Clouds
-    matches: Sequence[MatchEndpoints]
-    poses: Poses
-    lengths: PairLengths
+    source: Clouds  # one cloud; its origin takes the middle up
+    target: Clouds  # likewise
+    matches: Sequence[MatchEndpoints]  # of every proposal, between those frames
+    poses: Poses  # of all proposals, between those frames
+    lengths: PairLengths  # meters
 
 
 class PreparedPairs(NamedTuple):
-    """What poses of G pairs are weighed on.
+    """What poses of G pairs are weighed on."""
 
-    Attributes:
-        source: the source scans.
-        target: the target scans.
-        matches: of every pair, those of every proposal.
-        threshold: (G,) float64, meters, of an inlier.
-    """
-
-    source: Scans
-    target: Scans
-    matches: Sequence[Sequence[MatchCells]]
-    threshold: Tensor
+    source: Scans  # the source scans
+    target: Scans  # the target scans
+    matches: Sequence[Sequence[MatchCells]]  # of every pair, those of every proposal
+    threshold: Tensor  # (G,) float64, meters, of an inlier
 
 
 class Groups(NamedTuple):
-    """The pairs that have poses.
+    """The pairs that have poses."""
 
-    Attributes:
-        small: numbers of pairs that take every step together.
-        large: pairs that are judged alone.
-    """
-
-    small: list[list[int]]
-    large: list[int]
+    small: list[list[int]]  # numbers of pairs that take every step together
+    large: list[int]  # pairs that are judged alone
 
 
 def proposals_of(proposed: Sequence[ProposedPoses], b: int) -> tuple[Proposal, ...]:

@@ -22,49 +22,29 @@ _MARGIN = 2  # empty cells around a scan: one that its points reach into, one th
 
 
 class Occupancy(NamedTuple):
-    """Cells of space in which a query can have a partner, of G scans.
+    """Cells of space in which a query can have a partner, of G scans."""
 
-    Attributes:
-        low: (3, G) float32, meters, the least coordinates.
-        width: (G,) float32, meters.
-        last: (3, G) float32, the last cell along each axis.
-        stride: (3, G) int64, from a cell to the next along each axis.
-        first: (G,) int64, where the cells of a scan begin.
-        reached: of all cells, whether a point lies in it or in one of the 26 around it.
-    """
-
-    low: Tensor
-    width: Tensor
-    last: Tensor
-    stride: Tensor
-    first: Tensor
-    reached: Tensor
+    low: Tensor  # (3, G) float32, meters, the least coordinates
+    width: Tensor  # (G,) float32, meters
+    last: Tensor  # (3, G) float32, the last cell along each axis
+    stride: Tensor  # (3, G) int64, from a cell to the next along each axis
+    first: Tensor  # (G,) int64, where the cells of a scan begin
+    reached: Tensor  # of all cells, whether a point lies in it or in one of the 26 around it
 
 
 class PartnerSearch(NamedTuple):
-    """What answers ``partners``, of G scans.
+    """What answers ``partners``, of G scans."""
 
-    Attributes:
-        occupancy: where partners can be.
-        trees: over the points of every scan.
-        first: the row of every scan's first point among the points of all.
-    """
-
-    occupancy: Occupancy
-    trees: Sequence[PointIndex]
-    first: Sequence[int]
+    occupancy: Occupancy  # where partners can be
+    trees: Sequence[PointIndex]  # over the points of every scan
+    first: Sequence[int]  # the row of every scan's first point among the points of all
 
 
 class Partners(NamedTuple):
-    """The nearest points of queries, of those that have one within the threshold.
+    """The nearest points of queries, of those that have one within the threshold."""
 
-    Attributes:
-        row: (R, L) int64, among the points of all scans; any legal row where there is none.
-        square: (R, L) squared meters, of others infinite or beyond the squared threshold.
-    """
-
-    row: Tensor
-    square: Tensor
+    row: Tensor  # (R, L) int64, among the points of all scans; any legal row where there is none
+    square: Tensor  # (R, L) squared meters, of others infinite or beyond the squared threshold
 
 
 def partners(search: PartnerSearch, pair: Tensor, moved: Tensor, valid: Tensor) -> Partners:

@@ -22,39 +22,22 @@ from torchreg.verification.partners import PartnerSearch, occupancy
 
 
 class Scans(NamedTuple):
-    """One side of G pairs.
+    """One side of G pairs."""
 
-    Attributes:
-        points: (3, G, L) float32, meters, the sample of every scan.
-        normals: (3, G, L) float32, or ``None``.
-        colors: (3, G, L) float64, or ``None``.
-        valid: (G, L) bool, false where a sample is filled up.
-        counts: (G,) float64, points of every sample.
-        all_points: (3, P) float32, all points of all scans.
-        all_normals: (3, P) float32, or ``None``.
-        all_colors: (3, P) float64, or ``None``.
-        sizes: of every scan, how many points it has.
-        origin: (G, 3) float64, meters, where the points' zero lies in the frame of the file.
-        faced: (G,) bool, whether normals point to a known scanner.
-        search: for the nearest of all points.
-        images: of those scanners whose place is known, ``None`` where no place is.
-        image: (G,) int64, which of the images is the scan's; -1 where it has none.
-    """
-
-    points: Tensor
-    normals: Tensor | None
-    colors: Tensor | None
-    valid: Tensor
-    counts: Tensor
-    all_points: Tensor
-    all_normals: Tensor | None
-    all_colors: Tensor | None
-    sizes: Sequence[int]
-    origin: Tensor
-    faced: Tensor
-    search: PartnerSearch
-    images: RangeImages | None
-    image: Tensor
+    points: Tensor  # (3, G, L) float32, meters, the sample of every scan
+    normals: Tensor | None  # (3, G, L) float32, or ``None``
+    colors: Tensor | None  # (3, G, L) float64, or ``None``
+    valid: Tensor  # (G, L) bool, false where a sample is filled up
+    counts: Tensor  # (G,) float64, points of every sample
+    all_points: Tensor  # (3, P) float32, all points of all scans
+    all_normals: Tensor | None  # (3, P) float32, or ``None``
+    all_colors: Tensor | None  # (3, P) float64, or ``None``
+    sizes: Sequence[int]  # of every scan, how many points it has
+    origin: Tensor  # (G, 3) float64, meters, where the points' zero lies in the frame of the file
+    faced: Tensor  # (G,) bool, whether normals point to a known scanner
+    search: PartnerSearch  # for the nearest of all points
+    images: RangeImages | None  # of those scanners whose place is known, ``None`` where no place is
+    image: Tensor  # (G,) int64, which of the images is the scan's; -1 where it has none
 
 
 def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshold: Tensor, sample: int) -> Scans:

@@ -44,45 +44,25 @@ Vector = tuple[Tensor, Tensor, Tensor]
 
 
 class ArrangedPair(NamedTuple):
-    """What the three angles of pairs (R, K) and their derivatives are made of.
+    """What the three angles of pairs (R, K) and their derivatives are made of."""
 
-    Attributes:
-        u: unit vector from query to neighbor.
-        inverse_length: 1 / |d|, 0 where the points coincide.
-        g: the neighbor's normal less the query's.
-        n: the normal that takes the first place.
-        v: u x n.
-        across: |u x n|, 1 where it is zero.
-        square: n.n.
-        turn: n.g.
-        along: n.u.
-        change: g.u.
-        swap: 1 where the neighbor takes the first place, else 0.
-        sign: 1 - 2 swap.
-        sine: the direction of f1, second coordinate.
-        cosine: first coordinate.
-        f2: v.g / across.
-        proper: 1 where the angles are defined, else 0.
-        decided: 1 where the direction of f1 has a length, too.
-    """
-
-    u: Vector
-    inverse_length: Tensor
-    g: Vector
-    n: Vector
-    v: Vector
-    across: Tensor
-    square: Tensor
-    turn: Tensor
-    along: Tensor
-    change: Tensor
-    swap: Tensor
-    sign: Tensor
-    sine: Tensor
-    cosine: Tensor
-    f2: Tensor
-    proper: Tensor
-    decided: Tensor
+    u: Vector  # unit vector from query to neighbor
+    inverse_length: Tensor  # 1 / |d|, 0 where the points coincide
+    g: Vector  # the neighbor's normal less the query's
+    n: Vector  # the normal that takes the first place
+    v: Vector  # u x n
+    across: Tensor  # |u x n|, 1 where it is zero
+    square: Tensor  # n.n
+    turn: Tensor  # n.g
+    along: Tensor  # n.u
+    change: Tensor  # g.u
+    swap: Tensor  # 1 where the neighbor takes the first place, else 0
+    sign: Tensor  # 1 - 2 swap
+    sine: Tensor  # the direction of f1, second coordinate
+    cosine: Tensor  # first coordinate
+    f2: Tensor  # v.g / across
+    proper: Tensor  # 1 where the angles are defined, else 0
+    decided: Tensor  # 1 where the direction of f1 has a length, too
 
 
 def arranged_pair(query: Oriented, neighbor: Oriented) -> ArrangedPair:
@@ -142,17 +122,11 @@ def pair_positions(pair: ArrangedPair) -> tuple[Tensor, Tensor, Tensor]:
 
 
 class PairGradient(NamedTuple):
-    """Gradients (R, K) with respect to the two points of every pair, query and neighbor.
+    """Gradients (R, K) with respect to the two points of every pair, query and neighbor."""
 
-    Attributes:
-        line: of the neighbor's position; the query's is its opposite.
-        query_normal: of the query's normal.
-        neighbor_normal: of the neighbor's.
-    """
-
-    line: Vector
-    query_normal: Vector
-    neighbor_normal: Vector
+    line: Vector  # of the neighbor's position; the query's is its opposite
+    query_normal: Vector  # of the query's normal
+    neighbor_normal: Vector  # of the neighbor's
 
 
 def pair_gradient(pair: ArrangedPair, of_f1: Tensor, of_f2: Tensor, of_f3: Tensor) -> PairGradient:

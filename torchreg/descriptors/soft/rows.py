@@ -20,33 +20,20 @@ from torchreg.types import Neighborhoods
 
 
 class Piece(NamedTuple):
-    """Some rows of a neighborhood with everything that a kernel reads.
+    """Some rows of a neighborhood with everything that a kernel reads."""
 
-    Attributes:
-        query: C columns (r, 1) of the points themselves.
-        neighbor: C columns (r, K) of their neighbors.
-        votes: (r, K) 1 where a slot holds another point, times its neighbor weight; else 0.
-        settings: (r, E) numbers that rows share, such as edges of bins; or ``None``.
-    """
-
-    query: tuple[Tensor, ...]
-    neighbor: tuple[Tensor, ...]
-    votes: Tensor
-    settings: Tensor | None
+    query: tuple[Tensor, ...]  # C columns (r, 1) of the points themselves
+    neighbor: tuple[Tensor, ...]  # C columns (r, K) of their neighbors
+    votes: Tensor  # (r, K) 1 where a slot holds another point, times its neighbor weight; else 0
+    settings: Tensor | None  # (r, E) numbers that rows share, such as edges of bins; or ``None``
 
 
 class PieceGradient(NamedTuple):
-    """The gradient with respect to a piece, from a kernel's derivative by hand; ``None`` where it is not wanted.
+    """The gradient with respect to a piece, from a kernel's derivative by hand; ``None`` where it is not wanted."""
 
-    Attributes:
-        query: C columns (r,).
-        neighbor: C columns (r, K).
-        votes: (r, K).
-    """
-
-    query: tuple[Tensor, ...]
-    neighbor: tuple[Tensor, ...]
-    votes: Tensor | None
+    query: tuple[Tensor, ...]  # C columns (r,)
+    neighbor: tuple[Tensor, ...]  # C columns (r, K)
+    votes: Tensor | None  # (r, K)
 
 
 Kernel = Callable[[Piece], Tensor]

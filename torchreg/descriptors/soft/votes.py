@@ -20,17 +20,11 @@ from torch.nn.functional import hardtanh
 
 
 class Shares(NamedTuple):
-    """The two bins between which every vote is shared.
+    """The two bins between which every vote is shared."""
 
-    Attributes:
-        lower: (R, K) int64, one bin.
-        upper: (R, K) int64, the next one; the same bin beyond the outermost centers.
-        share: (R, K) in [0, 1], what ``upper`` gets.
-    """
-
-    lower: Tensor
-    upper: Tensor
-    share: Tensor
+    lower: Tensor  # (R, K) int64, one bin
+    upper: Tensor  # (R, K) int64, the next one; the same bin beyond the outermost centers
+    share: Tensor  # (R, K) in [0, 1], what ``upper`` gets
 
 
 def shared_votes(shares: Shares, votes: Tensor, bins: int) -> Tensor:
@@ -44,15 +38,10 @@ def shared_votes(shares: Shares, votes: Tensor, bins: int) -> Tensor:
 
 
 class ShareGradient(NamedTuple):
-    """The gradient of a histogram with respect to the votes in it.
+    """The gradient of a histogram with respect to the votes in it."""
 
-    Attributes:
-        step: (R, K), with respect to a vote's position in bins, for a vote of 1.
-        level: (R, K), with respect to the vote itself.
-    """
-
-    step: Tensor
-    level: Tensor
+    step: Tensor  # (R, K), with respect to a vote's position in bins, for a vote of 1
+    level: Tensor  # (R, K), with respect to the vote itself
 
 
 def share_gradient(shares: Shares, grad: Tensor, bandwidth: float) -> ShareGradient:
