@@ -51,7 +51,7 @@ def test_no_package_bears_the_name_of_a_public_function(name):
 
 def test_from_register_to_a_kernel_it_is_three_files():
     graph = grimp.build_graph("torchreg")
-    stages = {f"torchreg.registration.{name}" for name in ("describe", "candidates", "decide")}
+    stages = {f"torchreg.registration.{name}" for name in ("describe", "candidates")}
     assert stages <= graph.find_modules_directly_imported_by("torchreg.registration.register")
     reached = {module for stage in stages for module in graph.find_modules_directly_imported_by(stage)}
     for kernel in ("preprocess.downsample", "neighborhoods.search", "preprocess.normals", "descriptors.fuse"):

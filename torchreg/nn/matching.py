@@ -9,8 +9,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.fuse import fuse, rooted
-from torchreg.descriptors.records import DESCRIPTORS
 from torchreg.errors import at_least, expect, expect_shape, fraction, one_of, positive
 from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.geometry.se3 import apply_rotation, rigid

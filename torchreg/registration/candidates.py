@@ -1,7 +1,7 @@
-"""From two sides that are described to poses: which sets of features and which solvers compete, and what they propose.
+"""From two described sides to the result: which sets of features and which solvers compete, their poses, the choice.
 
-What one set of features blurs another may tell apart, so the poses of several sets are candidates together
-(``torchreg.verification`` chooses among them). The sets share their descriptors: each is computed once.
+Points that look alike in one set of features may differ in another, so the poses of several sets are candidates
+together, and ``torchreg.verification`` chooses among them. The sets share their descriptors: each is computed once.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from torchreg.matching.mutual import match_mutual
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions, solver_by_name
 from torchreg.registration.stopwatch import stage
+from torchreg.solvers import base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
-from torchreg.solvers.points import base_seed
-from torchreg.types import Correspondences, Features
-from torchreg.verification import ProposedPoses
+from torchreg.types import Correspondences, Features, RegistrationResult
+from torchreg.verification import WORK, PairLengths, ProposedPoses
+from torchreg.verification.verify import verify
 
 
 class Recipe(NamedTuple):
@@ -40,14 +41,10 @@ class Recipe(NamedTuple):
 
 
 def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, ...]:
-    """What to try, the options' own recipe first.
+    """The recipes to try, that of the options first; without colors, blocks that need them are left out.
 
     Plain and fast try that one alone; balanced also the geometry by itself; thorough each color block beside the
     geometry too, and all of these both by compatibility with two nearest neighbors and by RANSAC.
-
-    Args:
-        options: of the pairs.
-        colored: whether the pairs have colors; without, blocks that need them are left out.
     """
     blocks = [
         block
@@ -62,16 +59,16 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
         names = tuple(blocks[number][0].name for number in numbers)
         return Recipe(numbers, names, tuple(blocks[number][1] for number in numbers), neighbors, solver)
 
-    own = recipe(everything, options.match_neighbors, options.solver.name)
+    first = recipe(everything, options.match_neighbors, options.solver.name)
     if options.effort in ("plain", "fast"):
-        return (own,)
+        return (first,)
     sets = [everything, geometry] if geometry else [everything]
     if options.effort == "balanced":
-        return tuple(dict.fromkeys(recipe(numbers, own.neighbors, own.solver) for numbers in sets))
+        return tuple(dict.fromkeys(recipe(numbers, first.neighbors, first.solver) for numbers in sets))
     sets += [(*geometry, number) for number in color]
-    several = own.neighbors if options.ratio is not None else max(own.neighbors, 2)
-    ways = ((several, "compatibility"), (own.neighbors, "ransac"))
-    return tuple(dict.fromkeys((own, *(recipe(numbers, *way) for numbers in dict.fromkeys(sets) for way in ways))))
+    several = first.neighbors if options.ratio is not None else max(first.neighbors, 2)
+    ways = ((several, "compatibility"), (first.neighbors, "ransac"))
+    return tuple(dict.fromkeys((first, *(recipe(numbers, *way) for numbers in dict.fromkeys(sets) for way in ways))))
 
 
 @stage("matching")
@@ -79,8 +76,12 @@ def match(
     source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
 ) -> Correspondences:
     """Fuse the recipe's blocks and match them mutually."""
-    one, other = (fused(side, recipe, options) for side in (source, target))
-    return match_mutual(one, other, ratio=options.ratio, neighbors=recipe.neighbors)
+    return match_mutual(
+        fused(source, recipe, options),
+        fused(target, recipe, options),
+        ratio=options.ratio,
+        neighbors=recipe.neighbors,
+    )
 
 
 @stage("hypotheses")
@@ -99,8 +100,27 @@ def solve(
     return ProposedPoses(recipe.origin, matches, poses)
 
 
+@stage("decision")
+def decide(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    proposed: Sequence[ProposedPoses],
+    options: Sequence[RegistrationOptions],
+) -> RegistrationResult:
+    """Take the solver's best pose of every pair (plain), or choose among all on the clouds and judge it."""
+    effort = options[0].effort
+    if effort == "plain":
+        solvers = [option.solver for option in options]
+        return result_of_poses(source.cloud, target.cloud, proposed[0].matches, proposed[0].poses, solvers)
+    lengths = [
+        PairLengths(option.inlier_threshold, max(spacings))
+        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
+    ]
+    return verify(source.cloud, target.cloud, proposed, lengths, WORK[effort])
+
+
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:
-    """The recipe's blocks as one vector, histograms moved towards square roots as the options say."""
+    """Fuse the recipe's blocks, with histograms moved towards square roots as far as the options say."""
     blocks = []
     for number in recipe.blocks:
         block, record = side.features[number], side.descriptors[0][number]

@@ -1,9 +1,9 @@
-"""From clouds to what ``register`` matches: thinned, with normals and descriptors.
+"""From clouds to described clouds: thinned, with normals and descriptors, as ``register`` matches them.
 
     downsample -> neighbors -> estimate_normals -> describe
 
-What comes out of a cloud depends on the cloud and on its ``Description`` alone (where no descriptor is pairwise), so
-a cloud that stands in many pairs is described once, and may be kept for later.
+The result depends on the cloud and its ``Description`` alone (where no descriptor is pairwise), so a cloud that stands
+in many pairs is described once, and may be kept for later.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ def describe_clouds(
     Args:
         clouds: B clouds.
         options: for all of them or one per cloud (which then differ in lengths only), as the pairs will have them.
-        max_bytes: bounds the neighborhoods that are held at once; one cloud's are held in any case. The result does
-            not depend on it.
+        max_bytes: bounds the neighborhoods in memory at once, but for those of one cloud. The result does not depend
+            on it.
 
     Returns:
         DescribedClouds. A cloud that cannot be registered keeps its facts and has no points. No gradients.
@@ -98,7 +98,7 @@ def describe_clouds(
 
 
 def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_bytes: int = 1 << 28) -> DescribedClouds:
-    """Describe clouds, of each as its description says; the rest as ``describe_clouds``."""
+    """Describe every cloud as its description says; otherwise as ``describe_clouds``."""
     expect_alike(descriptions)
     for record in descriptions[0].descriptors if descriptions else ():
         expect(not record.is_pairwise, "options.descriptors", "descriptors of each cloud by itself", record)
@@ -112,7 +112,7 @@ def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_byte
 
 
 def describe_thin(thin: Clouds, descriptions: Sequence[Description], *, max_bytes: int) -> DescribedClouds:
-    """Describe clouds that are downsampled already, with the facts of what came; arguments as ``describe_clouds``'.
+    """Describe clouds that are downsampled already; the rest as ``describe_by``.
 
     Where a descriptor is pairwise, clouds 2 i and 2 i + 1 are those of one pair.
     """
@@ -124,15 +124,9 @@ def describe_thin(thin: Clouds, descriptions: Sequence[Description], *, max_byte
     parts = []
     for group in groups:
         cloud, near = oriented(thin.select(range(len(thin))[group]), descriptions[group])
-        parts.append(
-            DescribedClouds(
-                cloud=cloud,
-                features=describe(cloud, near, [description.descriptors for description in descriptions[group]]),
-                descriptors=tuple(description.descriptors for description in descriptions[group]),
-                spacing=tuple(_spacings(cloud, near)),
-                facts=facts_of(cloud),
-            )
-        )
+        descriptors = tuple(description.descriptors for description in descriptions[group])
+        features, spacing = describe(cloud, near, descriptors), _spacings(cloud, near)
+        parts.append(DescribedClouds(cloud, features, descriptors, spacing, facts_of(cloud)))
     return DescribedClouds.pack(parts)
 
 
@@ -159,12 +153,9 @@ def oriented(cloud: Clouds, descriptions: Sequence[Description]) -> tuple[Clouds
 
 @stage("descriptors")
 def describe(cloud: Clouds, near: Neighborhoods, descriptors: Sequence[Sequence[Descriptor]]) -> tuple[Features, ...]:
-    """Features of every descriptor, not yet scaled or weighed.
+    """Features of every descriptor, not yet scaled or weighed, of B clouds with normals.
 
-    Args:
-        cloud: B clouds with normals.
-        near: neighborhoods at least as wide as every support.
-        descriptors: of every cloud, the same but for their lengths.
+    ``near`` is as wide as every support at least; ``descriptors``, of every cloud, differ in lengths only.
     """
     return tuple(_described(cloud, near, records) for records in zip(*descriptors, strict=True))
 
@@ -213,12 +204,12 @@ def _support(cloud: Clouds, near: Neighborhoods, radii: Sequence[float], max_nei
     return near.restrict(per_point, max_neighbors)
 
 
-def _spacings(cloud: Clouds, near: Neighborhoods) -> list[float]:
-    """Median distance to the fourth nearest other point of every cloud, meters, of the points that have as many."""
+def _spacings(cloud: Clouds, near: Neighborhoods) -> tuple[float, ...]:
+    """Median distance to the fourth nearest other point, meters, of the points of each cloud that have as many."""
     spacings = []
     slot = min(_SPACING_NEIGHBOR, near.index.shape[1] - 1)
     for begin, end in spans(cloud.offsets):
         square = near.sq_distance[begin:end, slot][near.valid[begin:end, slot]]
         median = float(square.double().sqrt().median()) if len(square) > 0 else math.nan
         spacings.append(median if median > 0 else 1e-9)
-    return spacings
+    return tuple(spacings)

@@ -1,9 +1,10 @@
-"""Clouds made ready to be matched: thinned, with normals and descriptors. What a pair needs of each of its sides."""
+"""Described clouds: thinned, with normals and descriptors. What matching a pair needs of each of its sides."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from torchreg.errors import expect
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features
 from torchreg.types.lengths import without_lengths
-from torchreg.types.packing import offsets_of, spans
+from torchreg.types.packing import kept_rows, spans
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +61,13 @@ class DescribedClouds:
         kinds = {tuple(map(without_lengths, records)) for part in parts for records in part.descriptors}
         expect(len(kinds) <= 1, "parts", "the same descriptors in all", kinds)
         cloud = Clouds.pack([part.cloud for part in parts])
+        features = []
+        for blocks in zip(*(part.features for part in parts), strict=True):
+            values, valid = torch.cat([block.values for block in blocks]), torch.cat([block.valid for block in blocks])
+            features.append(Features(values, cloud.offsets, blocks[0].blocks, valid))
         return DescribedClouds(
             cloud=cloud,
-            features=tuple(
-                replace(
-                    blocks[0],
-                    values=torch.cat([block.values for block in blocks]),
-                    valid=torch.cat([block.valid for block in blocks]),
-                    offsets=cloud.offsets,
-                )
-                for blocks in zip(*(part.features for part in parts), strict=True)
-            ),
+            features=tuple(features),
             descriptors=tuple(records for part in parts for records in part.descriptors),
             spacing=tuple(spacing for part in parts for spacing in part.spacing),
             facts=tuple(facts for part in parts for facts in part.facts),
@@ -81,15 +78,7 @@ class DescribedClouds:
         return [
             DescribedClouds(
                 cloud=cloud,
-                features=tuple(
-                    replace(
-                        block,
-                        values=block.values[begin:end],
-                        valid=block.valid[begin:end],
-                        offsets=offsets_of([end - begin]),
-                    )
-                    for block in self.features
-                ),
+                features=self._features(cloud.offsets, itemgetter(slice(begin, end))),
                 descriptors=self.descriptors[b : b + 1],
                 spacing=self.spacing[b : b + 1],
                 facts=self.facts[b : b + 1],
@@ -97,33 +86,27 @@ class DescribedClouds:
             for b, (cloud, (begin, end)) in enumerate(zip(self.cloud.unpack(), spans(self.cloud.offsets), strict=True))
         ]
 
-    def emptied(self) -> DescribedClouds:
-        """The same clouds without points: what takes the place of a pair that is refused."""
-        return self._mapped(lambda rows: rows[:0], offsets=torch.zeros_like(self.cloud.offsets))
+    def without(self, refused: Sequence[object]) -> DescribedClouds:
+        """The same clouds, those of refused pairs without points, so that they do not affect the others."""
+        if not any(refused):
+            return self
+        index, offsets = kept_rows(self.cloud.offsets, refused)
+        index = index.to(self.cloud.device)
+        cloud = self.cloud.rows(index, offsets)
+        return replace(self, cloud=cloud, features=self._features(offsets, lambda rows: rows[index]))
 
     def clone(self) -> DescribedClouds:
         """A copy in memory of its own."""
-        return self._mapped(Tensor.clone)
+        cloud = Clouds.pack([self.cloud])  # which copies
+        return replace(self, cloud=cloud, features=self._features(cloud.offsets, Tensor.clone))
 
     def to(self, device: torch.device | str) -> DescribedClouds:
         """Copy to a device."""
-        moved = self._mapped(lambda rows: rows.to(device))
-        return replace(moved, cloud=self.cloud.to(device))
+        cloud = self.cloud.to(device)
+        return replace(self, cloud=cloud, features=self._features(cloud.offsets, lambda rows: rows.to(device)))
 
-    def _mapped(self, change: Callable[[Tensor], Tensor], offsets: Tensor | None = None) -> DescribedClouds:
-        """With every tensor of rows changed by a function."""
-        cloud, offsets = self.cloud, self.cloud.offsets if offsets is None else offsets
-        return replace(
-            self,
-            cloud=replace(
-                cloud,
-                points=change(cloud.points),
-                offsets=offsets,
-                colors=None if cloud.colors is None else change(cloud.colors),
-                normals=None if cloud.normals is None else change(cloud.normals),
-            ),
-            features=tuple(
-                replace(block, values=change(block.values), valid=change(block.valid), offsets=offsets)
-                for block in self.features
-            ),
+    def _features(self, offsets: Tensor, change: Callable[[Tensor], Tensor]) -> tuple[Features, ...]:
+        """The features with every tensor of rows changed by a function."""
+        return tuple(
+            Features(change(block.values), offsets, block.blocks, change(block.valid)) for block in self.features
         )

@@ -1,4 +1,4 @@
-"""What a pair lacks before anything is computed, and what its user should know."""
+"""Clouds as given: why a pair cannot be registered, and what its user should know."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from torchreg.registration.options import RegistrationOptions
 from torchreg.types import Clouds, Failure
-from torchreg.types.packing import offsets_of, spans
+from torchreg.types.packing import kept_rows
 
 _LEAST_POINTS = 4
 _FARTHEST = 1e15  # meters: squares stay finite in float32
@@ -64,14 +64,11 @@ def _in_role(failure: Failure, name: str) -> Failure:
 
 
 def set_aside(clouds: Clouds, refused: Sequence[object]) -> Clouds:
-    """The same batch with the clouds of refused pairs emptied, so that they do not touch the others."""
+    """The same batch, the clouds of refused pairs without points, so that they do not affect the others."""
     if not any(refused):
         return clouds
-    kept = [
-        torch.arange(begin, end) if not reason else torch.zeros(0, dtype=torch.int64)
-        for (begin, end), reason in zip(spans(clouds.offsets), refused, strict=True)
-    ]
-    return clouds.rows(torch.cat(kept).to(clouds.device), offsets_of(map(len, kept)))
+    index, offsets = kept_rows(clouds.offsets, refused)
+    return clouds.rows(index.to(clouds.device), offsets)
 
 
 def notes_on(source: Clouds, target: Clouds, options: Sequence[RegistrationOptions]) -> tuple[tuple[str, ...], ...]:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.pcfh import Pcfh
-from torchreg.descriptors.records import DESCRIPTORS
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled
@@ -28,8 +28,8 @@ class RegistrationOptions:
             they are.
         normal_radius: meters, the support of a normal.
         normal_max_neighbors: nearest points within it, the point itself counted.
-        descriptors: what every point is described by, each a record with a support radius of its own. Where a pair has
-            no colors, those that need them are left out.
+        descriptors: records of the descriptors, each with its support radius. Where a pair has no colors, those that
+            need them are left out.
         weights: of the descriptors in the fused feature, all blocks being of unit length before it; ``None`` at
             construction for equal ones.
         root: in [0, 1], how far the entries of histograms are moved towards their square roots before they are
@@ -69,7 +69,7 @@ class RegistrationOptions:
     match_neighbors: int
     solver: Solver
     effort: str
-    # handed on by dataclasses.replace: a solver that is given to it by name keeps the threshold there was
+    # passed on by dataclasses.replace: a solver given by name then takes over the threshold of this one
     _solver_before: Solver = field(repr=False, compare=False)
 
     def __init__(
@@ -132,7 +132,7 @@ class RegistrationOptions:
 
     @property
     def feature_radius(self) -> float:
-        """Meters, of the first descriptor of geometry; of the first descriptor where none is."""
+        """Meters, of the first descriptor of geometry; of the first descriptor where there is none."""
         return next((record for record in self.descriptors if not record.needs_colors), self.descriptors[0]).radius
 
     @property
@@ -186,7 +186,7 @@ class RegistrationOptions:
         return next((record for record in self.descriptors if isinstance(record, Pcfh)), Pcfh(radius=self.color_radius))
 
 
-_FORMER_FIELDS = {  # names from before descriptors were records: of which records they are, and of which field
+_FORMER_FIELDS = {  # names from before descriptors were records: which records they change, and which field of these
     "feature_radius": ("geometry", "radius"),
     "feature_max_neighbors": ("any", "max_neighbors"),
     "color_radius": ("color", "radius"),
@@ -226,10 +226,9 @@ def _solver(solver: Solver | str | None, ransac: RansacOptions | None, before: S
 def _by_former_names(
     descriptors: tuple[Descriptor, ...], weights: tuple[float, ...], former: dict[str, Any]
 ) -> tuple[tuple[Descriptor, ...], tuple[float, ...]]:
-    """Descriptors and weights with the changes that former names ask for."""
+    """Descriptors and weights with the values given under former names."""
     if not former or len(descriptors) != len(weights):
         return descriptors, weights
-    former = dict(former)
     color, color_weights = former.pop("color", None), former.pop("color_weights", None)
     changes: dict[str, dict[str, Any]] = {"geometry": {}, "color": {}, "any": {}, "pcfh": {}}
     former_of: dict[tuple[str, str], str] = {}

@@ -1,8 +1,8 @@
-"""What stands beside the pipeline of one call: options of every pair, clouds shared by pairs, slices, results joined.
+"""The plan of one call: options of every pair, clouds shared by pairs, slices that fit the memory, results joined.
 
-A cloud may stand in many pairs. Equal clouds get one number (``same_clouds``); what is described is a *job*, a number
-with what it is described by, and pairs name their two jobs (a ``Pairing``). So every job is done once, when the first
-slice of pairs needs it, and forgotten after the last.
+A cloud may stand in many pairs. Equal clouds get one number (``same_clouds``). A *job* is a number with what its cloud
+is described by, and a pair is two jobs. Every job is done once, when the first slice of pairs needs it, and its result
+is dropped after the last.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_device
 from torchreg.geometry.numerics.partition import partition
-from torchreg.refinement.pairing import Pairing, numbered
+from torchreg.refinement.pairing import numbered
 from torchreg.registration.describe import Description, describe_thin, description_of, downsample, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import facts_of, refusal, set_aside
@@ -85,16 +85,16 @@ class Plan:
         clouds[_NOTHING] = set_aside(clouds[self._numbers[0][0]], [True])
         jobs = [self._job(b, side) for side in range(2) for b in range(len(source))]
         self._jobs, numbers = numbered(jobs)
-        self._pairing = Pairing(numbers[: len(source)], numbers[len(source) :])
+        self._pairs = list(zip(numbers[: len(source)], numbers[len(source) :], strict=True))
         self._thin = [downsample(clouds[job.cloud], [job.description.voxel_size]) for job in self._jobs]
-        self._last = {job: b for b, pair in enumerate(zip(*self._pairing, strict=True)) for job in pair}
+        self._last = {job: b for b, pair in enumerate(self._pairs) for job in pair}
         self._described: dict[int, DescribedClouds] = {}
-        sizes = [sum(len(self._thin[job].points) for job in pair) for pair in zip(*self._pairing, strict=True)]
+        sizes = [sum(len(self._thin[job].points) for job in pair) for pair in self._pairs]
         self.slices = partition([pair_bytes(size, self.options[0]) for size in sizes], self._budget)
 
     def described(self, rows: slice) -> tuple[DescribedClouds, DescribedClouds]:
-        """Both sides of the pairs of a slice; slices are asked for in order, and what no later pair needs is let go."""
-        pairs = list(zip(self._pairing.source[rows], self._pairing.target[rows], strict=True))
+        """Describe both sides of the pairs of a slice, slice after slice; what no later pair needs is dropped."""
+        pairs = self._pairs[rows]
         new = [job for job in dict.fromkeys(job for pair in pairs for job in pair) if job not in self._described]
         if new:
             thin = Clouds.pack([self._thin[job] for job in new])
@@ -121,17 +121,16 @@ class Plan:
         effort: str | None,
         solver: Solver | str | None,
     ) -> tuple[RegistrationOptions, ...]:
-        """One per pair; derived from the clouds' scale for ``None``."""
-        if options is not None:
-            return options_of_pairs(options, len(source), effort, solver)
-        refused = [self._refusal(b, None) for b in range(len(source))]
-        usable = (set_aside(source, refused), set_aside(target, refused))
-        numbers = [
-            [_NOTHING if failure else number for number, failure in zip(side, refused, strict=True)]
-            for side in self._numbers
-        ]
-        derived = derive_numbered(*usable, numbers, "balanced" if effort is None else effort)
-        return options_of_pairs(derived, len(source), None, solver)
+        """One per pair; derived from the spacing of the points for ``None``."""
+        if options is None:
+            refused = [self._refusal(b, None) for b in range(len(source))]
+            usable = (set_aside(source, refused), set_aside(target, refused))
+            numbers = [
+                [_NOTHING if failure else number for number, failure in zip(side, refused, strict=True)]
+                for side in self._numbers
+            ]
+            options = derive_numbered(*usable, numbers, "balanced" if effort is None else effort)
+        return options_of_pairs(options, len(source), effort, solver)
 
     def _refusal(self, b: int, options: RegistrationOptions | None) -> Failure | None:
         return refusal(self._facts[self._numbers[0][b]], self._facts[self._numbers[1][b]], options)
@@ -158,47 +157,31 @@ def options_of_pairs(
     listed = isinstance(options, Sequence) and all(isinstance(option, RegistrationOptions) for option in options)
     expect(listed, "options", "RegistrationOptions, one per pair or one for all", options)
     expect(len(options) == pairs, "options", f"one for all or one per pair ({pairs})", len(options))
-    changed = tuple(_changed(option, effort, solver) for option in options)
-    expect_alike(changed)
-    return changed
-
-
-def _changed(options: RegistrationOptions, effort: str | None, solver: Solver | str | None) -> RegistrationOptions:
-    if solver is not None:
-        solver = solver_by_name(solver, options.solver) if isinstance(solver, str) else solver
-        options = replace(options, solver=solver)
-    return options if effort is None else replace(options, effort=effort)
+    if isinstance(solver, str):
+        options = [replace(option, solver=solver_by_name(solver, option.solver)) for option in options]
+    elif solver is not None:
+        options = [replace(option, solver=solver) for option in options]
+    if effort is not None:
+        options = [replace(option, effort=effort) for option in options]
+    expect_alike(options)
+    return tuple(options)
 
 
 def budget(max_bytes: int | None, device: torch.device) -> int:
-    """The bytes that a call may work with.
-
-    Args:
-        max_bytes: what the caller says; ``None`` takes a quarter of what is free on the device now.
-        device: where the clouds are.
-
-    Raises:
-        ValueError: ``max_bytes`` below 1.
-    """
+    """The bytes that a call may work with: ``max_bytes``, or a quarter of what is free on the device now."""
     if max_bytes is not None:
         return at_least(max_bytes, "max_bytes", 1)
-    if device.type == "cuda":
-        return int(SHARE * torch.cuda.mem_get_info(device)[0])
-    return int(SHARE * psutil.virtual_memory().available)
+    free = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else psutil.virtual_memory().available
+    return int(SHARE * free)
 
 
 def pair_bytes(points: int, options: RegistrationOptions) -> int:
-    """About what a pair of this many points, both clouds together, holds while it is matched and solved."""
+    """Estimate the memory that a pair of this many points, both clouds together, takes to be matched and solved."""
     return _PAIR_BYTES + points * _POINT_BYTES * (2 if options.effort == "thorough" else 1)
 
 
 def joined(results: Sequence[RegistrationResult], *, seconds: dict[str, float]) -> RegistrationResult:
-    """The pairs of all results of one call, in order; their matches count rows on through all clouds.
-
-    Args:
-        results: of one call, at least one.
-        seconds: of every stage, of all of them together.
-    """
+    """Join the results of the slices of one call, at least one; rows of matches count on through all clouds."""
     first, times = results[0], tuple(seconds.items())
     if len(results) == 1:
         return replace(first, seconds=times)

@@ -2,17 +2,16 @@
 
 downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (registration/describe.py)
 -> fuse -> match_mutual -> solve                             once per set of features (registration/candidates.py)
--> weigh, refine by ICP, judge                               (registration/decide.py)
+-> weigh, refine by ICP, judge                               the poses of all sets together (``decide`` there)
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from torchreg.errors import expect
-from torchreg.registration.candidates import match, recipes_of, solve
-from torchreg.registration.decide import decide
+from torchreg.registration.candidates import decide, match, recipes_of, solve
 from torchreg.registration.describe import description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import pair_notes, refusal
@@ -21,7 +20,6 @@ from torchreg.registration.plan import Plan, joined
 from torchreg.registration.stopwatch import stopwatch
 from torchreg.solvers import Solver
 from torchreg.types import Clouds, RegistrationResult, StageCounts
-from torchreg.types.packing import spans
 from torchreg.verification import ProposedPoses, proposals_of
 
 
@@ -49,10 +47,10 @@ def register(
         options: in meters, for all pairs or one per pair (which then differ in lengths only); ``None`` derives
             them from the spacing of each pair's points (``derive_options``); ``PAPER`` has the paper's.
         effort: ``"plain"`` (the paper's procedure and no more), ``"fast"``, ``"balanced"`` or ``"thorough"``, as
-            in ``RegistrationOptions``; ``None`` takes the options' own: balanced where they are derived, plain
+            in ``RegistrationOptions``; ``None`` takes that of the options: balanced where they are derived, plain
             in ``PAPER``. Options given keep their lengths; derived ones are half as large again for ``"fast"``.
-        solver: a record such as ``RansacOptions()``, or its name: then at the options' own inlier threshold.
-            ``None`` takes the options' own.
+        solver: a record such as ``RansacOptions()``, or its name: then at the inlier threshold of the options.
+            ``None`` takes that of the options.
         seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
@@ -60,7 +58,7 @@ def register(
 
     Returns:
         RegistrationResult with the options, notes and times of the run. A pair that cannot be registered has
-        ``success`` false and its ``failure``; the others are not touched by it. No gradients.
+        ``success`` false and its ``failure``; it does not affect the others. No gradients.
 
     Raises:
         ValueError: different numbers of clouds, or options that do not fit.
@@ -122,10 +120,10 @@ def _find_poses(
     colored: bool,
     seed: int,
 ) -> RegistrationResult:
-    """Match, solve and decide for pairs that go together."""
+    """Match, solve and decide, for the pairs of one slice."""
     facts = list(zip(source.facts, target.facts, strict=True))
     refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
-    source, target = _without(source, refused), _without(target, refused)
+    source, target = source.without(refused), target.without(refused)
     proposed = []
     for recipe in recipes_of(options[0], colored=colored):
         matches = match(source, target, recipe, options[0])
@@ -140,29 +138,16 @@ def _find_poses(
     )
 
 
-def _without(side: DescribedClouds, refused: Sequence[object]) -> DescribedClouds:
-    """The same clouds, those of refused pairs without points, so that they do not touch the others."""
-    if not any(refused):
-        return side
-    parts = zip(side.unpack(), refused, strict=True)
-    return DescribedClouds.pack([part.emptied() if failure else part for part, failure in parts])
-
-
 def _stage_counts(
     source: DescribedClouds, target: DescribedClouds, proposed: Sequence[ProposedPoses]
 ) -> tuple[StageCounts, ...]:
-    """What each stage of every pair had."""
-    described = [
-        [int(side.features[0].valid[begin:end].sum()) for begin, end in spans(side.cloud.offsets)]
-        for side in (source, target)
-    ]
-    points = (source.cloud.lengths, target.cloud.lengths)
-    return tuple(
-        StageCounts(
-            given=(source.facts[b].points, target.facts[b].points),
-            points=(points[0][b], points[1][b]),
-            described=(described[0][b], described[1][b]),
-            proposals=proposals_of(proposed, b),
-        )
-        for b in range(len(source))
-    )
+    """Points and poses of every pair, stage by stage."""
+
+    def of_both(counts: Callable[[DescribedClouds], Iterable[int]]) -> Iterator[tuple[int, int]]:
+        return zip(counts(source), counts(target), strict=True)
+
+    given = of_both(lambda side: [facts.points for facts in side.facts])
+    points = of_both(lambda side: side.cloud.lengths)
+    described = of_both(lambda side: [int(valid.sum()) for valid in side.features[0].valid.split(side.cloud.lengths)])
+    proposals = (proposals_of(proposed, b) for b in range(len(source)))
+    return tuple(map(StageCounts, given, points, described, proposals))

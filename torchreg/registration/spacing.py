@@ -1,4 +1,4 @@
-"""Options from the clouds' own scale, so that unknown data needs no tuning.
+"""Options derived from the spacing of the points, so that unknown data needs no tuning.
 
 Everything is a multiple of the spacing s of the points: normals 2 s, FPFH 5 s, inlier threshold 1.5 s. The
 spacing is the median distance to the fourth nearest other point. On surfaces averaged over voxels of edge v
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -29,7 +30,7 @@ MAX_POINTS = 30_000
 """A cloud with more is thinned first."""
 
 THINNED_POINTS = 12_000
-"""What is left of the larger cloud of a pair then, at most."""
+"""Points that are left of the larger cloud of a pair then, at most."""
 
 UNEVEN = 1.5
 """Clouds whose spacings differ by more than this factor are brought to the coarser one."""
@@ -77,7 +78,7 @@ def derive_options(source: Clouds, target: Clouds, *, effort: str = "balanced") 
 
     Args:
         source: B clouds.
-        target: B clouds. A cloud that stands several times in the batch is looked at once.
+        target: B clouds. A cloud that stands several times in the batch is measured once.
         effort: as in ``RegistrationOptions``; the lengths of ``"fast"`` are half as large again.
 
     Returns:
@@ -97,56 +98,59 @@ def derive_numbered(
     """As ``derive_options``, for clouds that are numbered already (``same_clouds``)."""
     colored = source.colors is not None and target.colors is not None
     scales: dict[int, CloudScale] = {}
-    for clouds, own_numbers in zip((source, target), numbers, strict=True):
-        for number, cloud in zip(own_numbers, clouds.unpack(), strict=True):
+    for clouds, side in zip((source, target), numbers, strict=True):
+        for number, cloud in zip(side, clouds.unpack(), strict=True):
             scales.setdefault(number, CloudScale(cloud))
-    return tuple(
-        options_of_scales(scales[one], scales[other], colored=colored, effort=effort)
-        for one, other in zip(*numbers, strict=True)
-    )
+    options = []
+    for one, other in zip(*numbers, strict=True):
+        pair = scales[one], scales[other]
+        if not (usable(pair[0].cloud) and usable(pair[1].cloud)):  # register() refuses the pair, which no length helps
+            options.append(options_for(1.0, colored=colored, effort=effort))
+            continue
+        thinned = max(scale.points for scale in pair) > MAX_POINTS
+        voxel_size = max(scale.thinning_voxel for scale in pair) if thinned else None
+        spacings = (pair[0].spacing(voxel_size), pair[1].spacing(voxel_size))
+        options.append(options_of_spacings(spacings, voxel_size, colored=colored, effort=effort))
+    return tuple(options)
 
 
 class CloudScale:
-    """The lengths of one cloud, each found when it is first asked for and then kept.
+    """The lengths of one cloud, each computed when it is first read.
 
     Attributes:
+        cloud: a batch of one.
         points: how many it has.
-        usable: whether there are any, and all of them finite.
     """
 
     def __init__(self, cloud: Clouds) -> None:
-        self._cloud = cloud
+        self.cloud, self.points = cloud, len(cloud.points)
         self._spacings: dict[float | None, float] = {}
-        self._voxel: float | None = None
-        self.points = len(cloud.points)
-        self.usable = usable(cloud)
 
-    @property
+    @cached_property
     def thinning_voxel(self) -> float:
         """Meters; the voxel edge that leaves about ``THINNED_POINTS``, not more; 0 for a cloud that has fewer."""
-        if self._voxel is None:
-            self._voxel = _thinning_voxel(self._cloud)
-        return self._voxel
+        if self.points <= THINNED_POINTS:
+            return 0.0
+        points = self.cloud.points.double()
+        points = points - points.amin(dim=0)
+        extent = float(points.amax())
+        if extent == 0:
+            return 1.0
+        low, high = extent / 2**20, extent
+        for _ in range(_BISECTIONS):
+            middle = (low * high) ** 0.5
+            # cut as voxel_downsample does; at most 2^20 cells a side, so that three numbers fit into 62 bits
+            grid = (points / middle + 0.5).long()
+            occupied = len(torch.unique((grid[:, 0] << 42) + (grid[:, 1] << 21) + grid[:, 2]))
+            low, high = (middle, high) if occupied > THINNED_POINTS else (low, middle)
+        return high
 
     def spacing(self, voxel_size: float | None = None) -> float:
         """Meters, of its points or of the means over voxels of this edge."""
         if voxel_size not in self._spacings:
-            cloud = self._cloud if voxel_size is None else voxel_downsample(self._cloud, voxel_size)
+            cloud = self.cloud if voxel_size is None else voxel_downsample(self.cloud, voxel_size)
             self._spacings[voxel_size] = float(spacing(cloud))
         return self._spacings[voxel_size]
-
-
-def options_of_scales(
-    source: CloudScale, target: CloudScale, *, colored: bool, effort: str = "balanced"
-) -> RegistrationOptions:
-    """The options derived for one pair."""
-    if not source.usable or not target.usable:
-        return options_for(1.0, colored=colored, effort=effort)  # register() refuses the pair, which no length helps
-    voxel_size = None
-    if max(source.points, target.points) > MAX_POINTS:
-        voxel_size = max(source.thinning_voxel, target.thinning_voxel)
-    spacings = (source.spacing(voxel_size), target.spacing(voxel_size))
-    return options_of_spacings(spacings, voxel_size, colored=colored, effort=effort)
 
 
 def options_of_spacings(
@@ -212,22 +216,3 @@ def options_for(
 def usable(cloud: Clouds) -> bool:
     """Whether one cloud has points, all of them finite."""
     return len(cloud.points) > 0 and bool(torch.isfinite(cloud.points).all())
-
-
-def _thinning_voxel(cloud: Clouds) -> float:
-    """The voxel edge that leaves about ``THINNED_POINTS``, not more; 0 for a cloud that has fewer."""
-    if len(cloud.points) <= THINNED_POINTS:
-        return 0.0
-    points = cloud.points.double()
-    points = points - points.amin(dim=0)
-    extent = float(points.amax())
-    if extent == 0:
-        return 1.0
-    low, high = extent / 2**20, extent
-    for _ in range(_BISECTIONS):
-        middle = (low * high) ** 0.5
-        # cut as voxel_downsample does; at most 2^20 cells a side, so that three numbers fit into 62 bits
-        grid = (points / middle + 0.5).long()
-        occupied = len(torch.unique((grid[:, 0] << 42) + (grid[:, 1] << 21) + grid[:, 2]))
-        low, high = (middle, high) if occupied > THINNED_POINTS else (low, middle)
-    return high

@@ -5,7 +5,7 @@ from torchreg.solvers.compatibility import CompatibilityOptions
 from torchreg.solvers.points import MatchedPoints, base_seed
 from torchreg.solvers.poses import PairPoses
 from torchreg.solvers.ransac import RansacOptions
-from torchreg.solvers.result import result_of_poses, solve
+from torchreg.solvers.result import hypothesis_counts, result_of_poses, solve
 from torchreg.solvers.solver import Hypotheses, Solver
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -23,6 +23,7 @@ __all__ = [
     "RansacOptions",
     "Solver",
     "base_seed",
+    "hypothesis_counts",
     "one_per_pair",
     "poses_of_pairs",
     "result_of_poses",

@@ -38,54 +38,37 @@ def one_per_pair(options: AnyOptions | Sequence[AnyOptions], pairs: int) -> list
 def poses_of_pairs(
     source: Clouds, target: Clouds, matches: Correspondences, solvers: Sequence[Solver], seed: int = 0
 ) -> list[PairPoses]:
-    """Run a solver on every pair.
+    """The poses of every pair, by its solver; arguments and errors as of ``solve``.
 
-    Args:
-        source: B clouds.
-        target: B clouds.
-        matches: correspondences between them, global rows.
-        solvers: one per pair.
-        seed: of the call; each pair draws from a seed made of it and the pair's correspondences.
-
-    Returns:
-        One per pair, in order. A pair that cannot be solved has no pose and says why.
-
-    Raises:
-        ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
+    A pair that cannot be solved has no pose and says why.
     """
-    _check_matches(source, target, matches)
+    pairs = len(matches)
+    expect(len(source) == pairs and len(target) == pairs, "matches", f"{len(source)} pairs", pairs)
+    _check_rows(matches.source, source, matches.offsets, "matches.source")
+    _check_rows(matches.target, target, matches.offsets, "matches.target")
     counts = matches.offsets.diff().tolist()
     failures = _failures(source, target, matches, solvers)
     poses = {b: no_pose(counts[b], source.device, failure) for b, failure in enumerate(failures) if failure}
     solvable = sorted((b for b, failure in enumerate(failures) if not failure), key=counts.__getitem__)
     for kind in dict.fromkeys(type(solvers[b]) for b in solvable):
-        pairs = [b for b in solvable if type(solvers[b]) is kind]
-        for run in partition([counts[b] for b in pairs], _GROUP_MATCHES, padded=True):
-            members = pairs[run]
+        of_kind = [b for b in solvable if type(solvers[b]) is kind]
+        for run in partition([counts[b] for b in of_kind], _GROUP_MATCHES, padded=True):
+            members = of_kind[run]
             group = [solvers[b] for b in members]
             thresholds = [solver.inlier_threshold for solver in group]
             points = gather_points(source, target, matches, members, thresholds, seed)
             poses.update((members[place], result) for place, result in _solve_group(points, group))
-    return [poses[b] for b in range(len(matches))]
+    return [poses[b] for b in range(pairs)]
 
 
 def too_few_matches(count: int, needed: int) -> Failure:
-    """Fewer matches than fix a transform."""
+    """The failure of a pair with fewer matches than determine a transform."""
     text = f"too few matches: {count}, and a sample needs {needed}"
     return Failure("too few matches", text, {"matches": count, "needed": needed})
 
 
-def _check_matches(source: Clouds, target: Clouds, matches: Correspondences) -> None:
-    """Raise ``ValueError`` where the numbers of pairs differ, or a match names a row outside its pair's clouds."""
-    pairs = len(matches)
-    expect(len(source) == pairs and len(target) == pairs, "matches", f"{len(source)} pairs", pairs)
-    expect(len(target) == len(source), "target", f"{len(source)} clouds, as the source has", len(target))
-    _check_rows(matches.source, source, matches.offsets, "matches.source")
-    _check_rows(matches.target, target, matches.offsets, "matches.target")
-
-
 def _solve_group(points: PairPoints, solvers: Sequence[Solver]) -> Iterator[tuple[int, PairPoses]]:
-    """The places in the group of its pairs and their poses, as they come; all solvers are of one class."""
+    """Yield the places of pairs in a group and their poses, as they are ready; all solvers are of one class."""
     waiting: dict[int, Hypotheses] = {}
     stored = 0
     pairs = [points.pair(place) for place in range(len(solvers))]
@@ -106,7 +89,7 @@ def _solve_group(points: PairPoints, solvers: Sequence[Solver]) -> Iterator[tupl
 def _refined(
     points: PairPoints, waiting: dict[int, Hypotheses], solvers: Sequence[Solver]
 ) -> Iterator[tuple[int, PairPoses]]:
-    """The poses of pairs with hypotheses; those that are treated alike go together."""
+    """Yield the places and poses of pairs with hypotheses; pairs of one dtype and the same options go together."""
     alike: dict[tuple[torch.dtype, int, str], list[int]] = {}
     for place, hypotheses in waiting.items():
         solver = solvers[place]

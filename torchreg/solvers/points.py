@@ -1,7 +1,6 @@
-"""The matched points of pairs about their means: those of one pair, as a solver takes them, and of several in step.
+"""The matched points of pairs about their means: of one pair, as a solver takes them, and of several side by side.
 
-Every pair has a seed that follows from the call and from what the pair holds, so that it draws the same wherever it
-stands.
+Every pair has a seed made from that of the call and its correspondences, so that it draws the same in any batch.
 """
 
 from __future__ import annotations
@@ -119,13 +118,10 @@ def base_seed(generator: torch.Generator | None) -> int:
 
 
 def pair_seeds(seed: int, source: Tensor, target: Tensor, counts: Sequence[int]) -> list[int]:
-    """A seed for every pair, from ``seed`` and its correspondences, counted from the first row of its clouds.
+    """A seed for every pair, from ``seed``, that of the call, and its correspondences.
 
-    Args:
-        seed: of the call.
-        source: (M,) int64, one pair's correspondences after another's.
-        target: (M,) int64.
-        counts: correspondences of every pair.
+    ``source`` and ``target`` (M,) are the rows of one pair after another's, counted from the first of their clouds;
+    ``counts`` are those of every pair.
     """
     expect(source.shape == target.shape, "target", f"{tuple(source.shape)}", target)
     lengths = torch.tensor(counts, dtype=torch.int64, device=source.device)

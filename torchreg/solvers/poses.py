@@ -1,9 +1,9 @@
 """Distinct poses of pairs: hypotheses scored exactly, refitted, and chosen greedily from the best down.
 
-One dominating mode must not push out the others: the best of a wrong symmetry may be the best but one by far less
-than the hypotheses around the best are. So beside the ``LEADERS`` with the highest counts, hypotheses are taken from
-the best down that lie apart from one another. All of them are scored exactly and refitted to their inliers, and
-again those that lie apart are kept.
+One dominating mode must not push out the others: many hypotheses near the best one may score higher than the best
+hypothesis of another mode, which a symmetric scene may make the right one. So beside the ``LEADERS`` with the highest
+counts, hypotheses that lie apart from one another are taken from the best down. All of them are scored exactly and
+refitted to their inliers, and of the results again those that lie apart are kept.
 
 Two poses differ by how far apart they put the matched source points, root mean square. With the points' mean c
 and covariance S that is
@@ -81,13 +81,9 @@ def no_pose(matches: int, device: torch.device, failure: Failure | None, drawn: 
 
 
 def poses_of(hypotheses: Sequence[Hypotheses], points: PairPoints, rounds: int, quality: Quality) -> list[PairPoses]:
-    """The distinct poses of every pair, best first, each refitted at most ``rounds`` times.
+    """The distinct poses of every pair, best first by ``quality``, each refitted at most ``rounds`` times.
 
-    Args:
-        hypotheses: of each pair at least one, all of one dtype.
-        points: of the same pairs.
-        rounds: of local optimization.
-        quality: what they are compared by.
+    Every pair has at least one hypothesis; all are of one dtype.
     """
     poses = _distinct(hypotheses, points, rounds, quality)
     R = poses.rotation.permute(2, 0, 1).contiguous()  # (H, 3, 3)

@@ -28,11 +28,11 @@ def solve(
         target: B clouds.
         matches: correspondences between them, global rows.
         solver: for all pairs, or one per pair.
-        seed: of the call. Each pair draws from a seed of its own, made from this one and the pair's correspondences,
-            so its result is bit for bit the same in any batch, at any place in it, and with any number of threads.
+        seed: of the call. Each pair draws from a seed made from this one and its correspondences, so its result is
+            bit for bit the same in any batch, at any place in it, and with any number of threads.
 
     Returns:
-        RegistrationResult. A pair with too few matches, or on which no hypothesis stands, has ``success`` false and
+        RegistrationResult. A pair with too few matches, or without a hypothesis, has ``success`` false and
         says why. No gradients.
 
     Raises:
@@ -50,22 +50,10 @@ def result_of_poses(
     poses: Sequence[PairPoses],
     solvers: Sequence[Solver],
 ) -> RegistrationResult:
-    """The result of the first pose of every pair, judged against chance.
-
-    Args:
-        source: B clouds.
-        target: B clouds.
-        matches: correspondences between them, global rows.
-        poses: one per pair, best first.
-        solvers: that gave them, one per pair.
-    """
+    """The result of the first pose of every pair, judged against chance; ``solvers`` gave the poses."""
     outcomes = [_outcome(source, target, matches, b, poses[b], solvers[b]) for b in range(len(matches))]
     device = source.device
     none = torch.zeros(0, dtype=torch.float64, device=device)
-    counts = [
-        torch.tensor([getattr(pair, name) for pair in poses], dtype=torch.int64, device=device)
-        for name in HypothesisCounts._fields
-    ]
     return RegistrationResult(
         T_target_source=torch.cat([none.reshape(0, 4, 4), *(outcome.T[None] for outcome in outcomes)]),
         inliers=torch.cat([none.bool(), *(outcome.inliers for outcome in outcomes)]),
@@ -73,11 +61,17 @@ def result_of_poses(
         inlier_rmse=torch.cat([none, *(outcome.inlier_rmse[None] for outcome in outcomes)]),
         success=torch.tensor([outcome.failure is None for outcome in outcomes], dtype=torch.bool, device=device),
         failure=tuple(outcome.failure for outcome in outcomes),
-        hypotheses=HypothesisCounts(*counts),
+        hypotheses=hypothesis_counts(poses, device),
         source=source,
         target=target,
         correspondences=matches,
     )
+
+
+def hypothesis_counts(poses: Sequence[PairPoses], device: torch.device) -> HypothesisCounts:
+    """The counts of every pair, as tensors."""
+    counts = [[getattr(pair, name) for pair in poses] for name in HypothesisCounts._fields]
+    return HypothesisCounts(*torch.tensor(counts, dtype=torch.int64, device=device))
 
 
 class _Outcome(NamedTuple):

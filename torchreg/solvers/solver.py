@@ -22,7 +22,7 @@ _STORED = 1 << 17
 
 
 class Hypotheses:
-    """Hypotheses of one pair as they come, ranked by their proposed inlier counts, ties to the earlier one.
+    """Hypotheses of one pair, ranked by their proposed inlier counts, ties to the earlier one.
 
     Attributes:
         source: (3, M) matched points in the dtype that hypotheses are proposed in, about their mean, meters.
@@ -30,7 +30,7 @@ class Hypotheses:
         drawn: how many hypotheses were begun, such as samples drawn or seeds of sets.
         kept: of those, how many passed the solver's first test.
         total: of those, how many were added, and so scored on all correspondences.
-        stored: how many are still held; those with the lowest counts of very many are dropped.
+        stored: how many are kept in memory; of very many, those with the lowest counts are dropped.
         explanation: why none was added, in words that follow "no hypothesis left: ".
     """
 
@@ -159,6 +159,6 @@ class Solver:
     def propose_all(
         cls: type[AnySolver], solvers: Sequence[AnySolver], points: Sequence[MatchedPoints]
     ) -> Iterator[Hypotheses]:
-        """The hypotheses of several pairs, in order, each with options of its own; overridden where it saves time."""
+        """The hypotheses of several pairs, in order, each by its solver; overridden where together takes less time."""
         for solver, pair in zip(solvers, points, strict=True):
             yield solver.propose(pair)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import accumulate, pairwise
 
 import torch
@@ -35,6 +35,13 @@ def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor
 def offsets_of(lengths: Iterable[int]) -> Tensor:
     """Offsets (B+1,) int64 of items of these lengths."""
     return torch.tensor([0, *accumulate(lengths)], dtype=torch.int64)
+
+
+def kept_rows(offsets: Tensor, left_out: Sequence[object]) -> tuple[Tensor, Tensor]:
+    """The rows (Q,), on the CPU, of all items but those left out (true), and the offsets (B+1,) with these empty."""
+    kept = [slice(begin, begin if out else end) for (begin, end), out in zip(spans(offsets), left_out, strict=True)]
+    rows = torch.cat([torch.arange(part.start, part.stop) for part in kept]) if kept else torch.arange(0)
+    return rows, offsets_of(part.stop - part.start for part in kept)
 
 
 def spans(offsets: Tensor) -> list[tuple[int, int]]:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.neighborhoods.coverage import coverage
-from torchreg.solvers import PairPoses
-from torchreg.types import Candidate, Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
+from torchreg.solvers import PairPoses, hypothesis_counts
+from torchreg.types import Candidate, Clouds, Correspondences, Failure, RegistrationResult
 from torchreg.types.packing import offsets_of, spans
 from torchreg.verification.candidates import HALF_TURN, SLIDE, Candidates, Choice, Poses, runs_of
 from torchreg.verification.model import probabilities
@@ -41,14 +41,7 @@ class Verdict(NamedTuple):
 
 
 def verdicts(pairs: Sequence[CenteredPair], choice: Choice, names: Sequence[str], least: float) -> list[Verdict]:
-    """The verdict on each pair.
-
-    Args:
-        pairs: G of them.
-        choice: among their candidates.
-        names: of the proposals.
-        least: probability of a success.
-    """
+    """The verdict on each of G pairs; ``names`` are those of the proposals, ``least`` the probability of a success."""
     weighed = choice.candidates
     T = _with_origins(weighed.poses, pairs)
     runs = runs_of(weighed.poses.pair)
@@ -109,14 +102,9 @@ def collect(
     first = proposed[0].matches
 
     def matched(name: str) -> Tensor:
-        parts = [getattr(part.matches, name)[own] for part, own in zip(chosen, rows, strict=True)]
+        parts = [getattr(part.matches, name)[of_pair] for part, of_pair in zip(chosen, rows, strict=True)]
         return torch.cat([getattr(first, name)[:0], *parts])
 
-    hypotheses = [part.poses[b] for b, part in enumerate(chosen)]
-    counts = [
-        torch.tensor([getattr(poses, name) for poses in hypotheses], dtype=torch.int64, device=device)
-        for name in HypothesisCounts._fields
-    ]
     return RegistrationResult(
         T_target_source=stacked("T", 4, 4),
         inliers=torch.cat([first.source[:0].bool(), *(verdict.inliers for verdict in verdicts)]),
@@ -124,7 +112,7 @@ def collect(
         inlier_rmse=numbers("inlier_rmse"),
         success=torch.tensor([verdict.failure is None for verdict in verdicts], dtype=torch.bool, device=device),
         failure=tuple(verdict.failure for verdict in verdicts),
-        hypotheses=HypothesisCounts(*counts),
+        hypotheses=hypothesis_counts([part.poses[b] for b, part in enumerate(chosen)], device),
         source=source,
         target=target,
         correspondences=Correspondences(

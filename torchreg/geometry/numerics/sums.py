@@ -8,6 +8,7 @@ processor's vectors (of 2 to 8 numbers, four at once).
     row_sums         of any rows; fills them up itself
     padded_row_sums  of rows that stand in memory filled up to ``padded_length`` already
     RowSums          of many batches of rows of one width, in memory that is made once and used again
+    sum_in_order     of a few terms each, one after another
 """
 
 from __future__ import annotations
@@ -40,6 +41,14 @@ def padded_row_sums(values: Tensor) -> Tensor:
         return values.sum(dim=-1)
     blocks = values.view(*values.shape[:-1], -1, BLOCK).sum(dim=-1)  # (..., blocks)
     return blocks.cumsum(dim=-1)[..., -1]
+
+
+def sum_in_order(values: Tensor) -> Tensor:
+    """Sums (..., S) of values (..., K, S) over the last dimension but one, one after another."""
+    total = torch.zeros_like(values[..., 0, :])
+    for row in values.unbind(dim=-2):
+        total += row
+    return total
 
 
 class RowSums:

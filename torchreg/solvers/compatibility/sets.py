@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchreg.geometry.kabsch import from_moments
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.sums import sum_in_order
 from torchreg.solvers.compatibility.graph import second_order
 
 _ITERATIONS = 4
@@ -69,15 +70,16 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
 
 def _fit(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """``fit_sets`` of members and weights (K, S)."""
-    total = _sum(weights)
+    total = sum_in_order(weights)
     share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
     p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
-    mean_p, mean_q = _sum(p * share), _sum(q * share)  # (3, S)
+    mean_p, mean_q = sum_in_order(p * share), sum_in_order(q * share)  # (3, S)
     p, q = p - mean_p[:, None], q - mean_q[:, None]
     weighted = p * share
-    covariance = _sum(weighted[:, None] * q[None])  # (3, 3, S)
+    covariance = sum_in_order(weighted[:, None] * q[None])  # (3, 3, S)
     T = from_moments(mean_p.t(), mean_q.t(), covariance.permute(2, 0, 1))
-    broad = _spans_plane(_sum(weighted[:, None] * p[None])) & _spans_plane(_sum((q * share)[:, None] * q[None]))
+    broad = _spans_plane(sum_in_order(weighted[:, None] * p[None]))
+    broad &= _spans_plane(sum_in_order((q * share)[:, None] * q[None]))
     return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t(), broad & (total > 0)
 
 
@@ -107,11 +109,3 @@ def _spans_plane(covariance: Tensor) -> Tensor:
     trace = xx + yy + zz
     minors = (xx * yy - xy * xy) + (xx * zz - xz * xz) + (yy * zz - yz * yz)  # the products of two spreads each
     return minors > _MIN_SINE * _MIN_SINE * trace * trace
-
-
-def _sum(values: Tensor) -> Tensor:
-    """Over the last dimension but one, one after another."""
-    total = torch.zeros_like(values[..., 0, :])
-    for row in values.unbind(dim=-2):
-        total += row
-    return total

@@ -18,6 +18,7 @@ from torchreg.solvers.points import MatchedPoints
 from torchreg.solvers.result import solve
 from torchreg.solvers.solver import Hypotheses, Solver
 from torchreg.types import Clouds, Correspondences, RegistrationResult
+from torchreg.types.packing import offsets_of
 
 _LEAST = 3  # members with weight that a consensus set needs
 _SETS = 1 << 12  # of several pairs, that are fitted together: a few hundred cost less than the operations on them
@@ -88,8 +89,8 @@ def compatibility(
         options: for all pairs, or one per pair; ``None`` for the defaults.
 
     Returns:
-        RegistrationResult; ``hypotheses`` counts seeds, seeds with partners enough, and transforms scored. A pair
-        with too few matches, or on which no transform stands, has ``success`` false and says why. No gradients.
+        RegistrationResult; ``hypotheses`` counts seeds, seeds with enough partners, and transforms scored. A pair
+        with too few matches, or without a transform, has ``success`` false and says why. No gradients.
 
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
@@ -109,11 +110,9 @@ class _Sets(NamedTuple):
 def _propose_together(solvers: Sequence[CompatibilityOptions], points: Sequence[MatchedPoints]) -> Iterator[Hypotheses]:
     sets = [_consensus(solver, pair) for solver, pair in zip(solvers, points, strict=True)]
     widest = max(each.members.shape[1] for each in sets)
-    firsts = [0]
-    for each in sets:
-        firsts.append(firsts[-1] + each.source.shape[1])
+    firsts = offsets_of(each.source.shape[1] for each in sets)[:-1].tolist()
     # a member more, of no weight, changes no sum
-    members = torch.cat([_widened(each.members, widest) + first for each, first in zip(sets, firsts, strict=False)])
+    members = torch.cat([_widened(each.members, widest) + first for each, first in zip(sets, firsts, strict=True)])
     weights = torch.cat([_widened(each.weights, widest) for each in sets])
     sources, targets = (torch.cat(side, dim=1) for side in zip(*(each[:2] for each in sets), strict=True))
     rotation, translation, solvable = fit_sets(sources, targets, members, weights)
@@ -132,7 +131,7 @@ def _propose_together(solvers: Sequence[CompatibilityOptions], points: Sequence[
 
 
 def _consensus(solver: CompatibilityOptions, points: MatchedPoints) -> _Sets:
-    """The sets with partners enough."""
+    """The sets with enough partners."""
     source, target, threshold = points.source, points.target, solver.inlier_threshold
     exact = _length_dtype(source, target, threshold)
     nodes = choose_nodes(source.to(exact), target.to(exact), threshold, solver.nodes)

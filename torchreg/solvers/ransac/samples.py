@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.kabsch import kabsch
+from torchreg.geometry.numerics.sums import sum_in_order
 
 FIRST_ROUND = 1 << 12
 """Hypotheses drawn at first, so that easy pairs stop soon; every round draws twice as many as the one before."""
@@ -65,7 +66,7 @@ def _solve_triangles(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
     apart = both - center[:, None]
     along, across = _dot(apart, u[:, None]), _dot(apart, w[:, None])  # (S, 2, H)
     (pu, qu), (pw, qw) = along.unbind(dim=1), across.unbind(dim=1)  # (S, H) each
-    cosine, sine = _sum(pu * qu + pw * qw), _sum(pu * qw - pw * qu)
+    cosine, sine = sum_in_order(pu * qu + pw * qw), sum_in_order(pu * qw - pw * qu)
     length = (cosine * cosine + sine * sine).sqrt()
     safe = torch.where(length > 0, length, torch.ones_like(length))
     cosine, sine = torch.where(length > 0, cosine / safe, torch.ones_like(length)), sine / safe
@@ -82,14 +83,6 @@ def _frame(points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     u = _unit(points[:, 1] - points[:, 0])
     normal = _unit(_cross(u, points[:, 2] - points[:, 0]))
     return u, _cross(normal, u), normal
-
-
-def _sum(terms: Tensor) -> Tensor:
-    """Over the first of (S, H), one after another."""
-    total = torch.zeros_like(terms[0])
-    for term in terms:
-        total += term
-    return total
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

@@ -63,8 +63,7 @@ class RansacOptions(Solver):
         hypotheses = Hypotheses(points, threshold)
         p, q = hypotheses.source, hypotheses.target
         edges = Edges(p, q, self.edge_similarity, threshold)
-        best_count = 0
-        leading = -1  # proposed count
+        best_count, leading = 0, -1  # inliers of a leader, and the proposed count of the last one
         for samples in sample_rounds(count, self.sample_size, self.hypotheses, points.seed, p.device):
             hypotheses.drawn += len(samples)
             similar, samples = edges.sift(samples)
@@ -79,7 +78,7 @@ class RansacOptions(Solver):
             proposed = hypotheses.add(rotation[..., passed], translation[:, passed])
             if self.confidence < 1:
                 highest = int(proposed.amax())
-                if highest > leading:  # else the leader is the one that has been scored
+                if highest > leading:  # else the leader has been scored already
                     leading = highest
                     turned, moved = (part.double() for part in hypotheses.best(1))
                     square = residuals(orthonormal(turned), moved, points.source, points.target)
@@ -108,13 +107,13 @@ def ransac(
         target: B clouds.
         matches: correspondences between them, global rows.
         options: for all pairs, or one per pair; ``None`` for the paper's.
-        generator: gives one seed for the call; ``None`` is a fixed one. Each pair draws from a generator of its
-            own, made from that seed and the pair's correspondences, so its result is bit for bit the same in
-            any batch, at any place in it, and with any number of threads.
+        generator: gives one seed for the call; ``None`` is a fixed one. Each pair draws by a seed made from that one
+            and its correspondences, so its result is bit for bit the same in any batch, at any place in it, and with
+            any number of threads.
 
     Returns:
-        RegistrationResult. A pair with too few matches, or on which no hypothesis stands, has ``success``
-        false and says why. No gradients.
+        RegistrationResult. A pair with too few matches, or without a hypothesis, has ``success`` false and says why.
+        No gradients.
 
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
