@@ -9,14 +9,14 @@ from determinism import assert_nothing_shows, same_bits
 from problems import garbage_in_invalid_slots, room_pair
 
 import torchreg as tr
-from torchreg.descriptors.learned import LearnedColor, load_weights, save_weights, shipped_color
+from torchreg.descriptors.learned import Learned, LearnedColor, load_weights, save_weights
 
 RADIUS = 0.6
 
 
 def described(cloud, near=None):
     near = tr.neighbors(cloud, RADIUS, 40) if near is None else near
-    return shipped_color(tr.estimate_normals(cloud, near), near, RADIUS)
+    return Learned(radius=RADIUS).describe(tr.estimate_normals(cloud, near), near)
 
 
 def test_the_shipped_block_has_its_name_and_width():
@@ -46,7 +46,8 @@ def test_a_radius_a_point_is_that_radius():
     near = tr.neighbors(scan, RADIUS, 40)
     cloud = tr.estimate_normals(scan, near)
     each = torch.full((300,), RADIUS, dtype=torch.float64)
-    assert close(shipped_color(cloud, near, each).values, shipped_color(cloud, near, RADIUS).values, atol=1e-3)
+    one, other = (Learned(radius=RADIUS).describe(cloud, replace(near, radius=radius)) for radius in (each, RADIUS))
+    assert close(one.values, other.values, atol=1e-3)
 
 
 def test_weights_survive_the_disk(tmp_path):

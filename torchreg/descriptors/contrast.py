@@ -22,9 +22,9 @@ from torch import Tensor
 
 from torchreg.descriptors.color import colors_of
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.histograms import gather
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CONTRAST_SIZE = 10

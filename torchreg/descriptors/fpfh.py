@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.histograms import count_votes, counted_votes, gather, inverse_square_weights, weighted_sum
+from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, counted_votes
 from torchreg.descriptors.pair_features import (
     ANGLE_BINS,
     Oriented,
@@ -32,6 +32,7 @@ from torchreg.descriptors.soft.fpfh import soft_fpfh
 from torchreg.errors import expect, expect_floating, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.compiled import fusible
+from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Clouds, Features, Neighborhoods
 
 FPFH_SIZE = 3 * ANGLE_BINS
@@ -105,7 +106,7 @@ def fpfh(
         )
     else:
         spfh = simplified_histograms(cloud.points, cloud.normals, near)
-        values = _from_simplified(spfh, near, own=mode == "open3d")
+        values = add_weighted_neighbors(spfh, near, ANGLE_BINS, keep_own=mode == "open3d")
     return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=(values != 0).any(dim=1))
 
 
@@ -158,16 +159,3 @@ def _exact_bins(query: Oriented, neighbor: Oriented) -> tuple[Tensor, Tensor, Te
 def _compact_bins(query: Oriented, neighbor: Oriented) -> tuple[Tensor, Tensor, Tensor]:
     pair = compact_pair_features(query, neighbor)
     return angle_bins(pair.cosine, pair.sine), unit_bins(pair.f2), unit_bins(pair.f3)
-
-
-def _from_simplified(spfh: Tensor, near: Neighborhoods, *, own: bool) -> Tensor:
-    """The weighted sum over neighbors, scaled to 100 per angle, plus the own histogram."""
-    out = torch.empty_like(spfh)
-    for rows in row_chunks(len(spfh), near.max_neighbors):
-        weights = inverse_square_weights(near.sq_distance[rows], near.valid[rows]).to(spfh.dtype)
-        blocks = weighted_sum(spfh, near.index[rows], weights).view(-1, 3, ANGLE_BINS)
-        total = blocks.sum(dim=2, keepdim=True)
-        scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
-        result = (blocks * scale).view(-1, FPFH_SIZE)
-        out[rows] = result + spfh[rows] if own else result
-    return out

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.types import Neighborhoods
 
 
 def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:
@@ -58,9 +59,24 @@ def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
     return torch.cat(parts)
 
 
-def gather(column: Tensor, index: Tensor) -> Tensor:
-    """``column[index]`` of a column (P,) for an index (R, K), four times faster on the CPU than indexing."""
-    return column.index_select(0, index.reshape(-1)).view(index.shape)
+def add_weighted_neighbors(histograms: Tensor, near: Neighborhoods, bins: int, *, keep_own: bool = True) -> Tensor:
+    """Eq. (2) and (4): the neighbors' histograms by inverse squared distance, scaled to 100 each, plus a point's own.
+
+    Args:
+        histograms: (P, blocks x bins) in percent.
+        near: P neighborhoods.
+        bins: of one histogram.
+        keep_own: whether a point's own histograms are added.
+    """
+    out = torch.empty_like(histograms)
+    for rows in row_chunks(len(histograms), near.max_neighbors):
+        weights = inverse_square_weights(near.sq_distance[rows], near.valid[rows]).to(histograms.dtype)
+        blocks = weighted_sum(histograms, near.index[rows], weights).view(-1, histograms.shape[1] // bins, bins)
+        total = blocks.sum(dim=2, keepdim=True)
+        scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
+        result = (blocks * scale).view(-1, histograms.shape[1])
+        out[rows] = result + histograms[rows] if keep_own else result
+    return out
 
 
 def neighbor_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:

@@ -10,7 +10,7 @@ half way to square roots.
 The network is written out in basic operations with x / (1 + |x|) for its curves: no matrix product whose sums depend on
 how rows are cut, no function that rounds differently in different lanes.
 
-The weights that come with the library stand in ``learned.json``.
+The weights shipped with the library are in ``learned.json``.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from torch import Tensor, nn
 from torchreg.descriptors.color import color_values
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fuse import fuse, rooted
-from torchreg.descriptors.histograms import gather
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
 from torchreg.errors import at_least, expect, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Clouds, Features, Neighborhoods
 
 SHIPPED = Path(__file__).with_suffix(".json")
@@ -155,7 +155,7 @@ def save_weights(model: LearnedColor, path: Path) -> Path:
 
 
 def load_weights(path: Path = SHIPPED) -> LearnedColor:
-    """A model as ``save_weights`` wrote it; without a path, the one that comes with the library.
+    """Read a model as ``save_weights`` wrote it; without a path, the one shipped with the library.
 
     Raises:
         FileNotFoundError: no such file.
@@ -168,13 +168,6 @@ def load_weights(path: Path = SHIPPED) -> LearnedColor:
     return model.requires_grad_(False)
 
 
-def shipped_color(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Features:
-    """The color block of the shipped weights; arguments as for ``LearnedColor``. No gradients."""
-    with torch.no_grad():
-        features: Features = _shipped(str(cloud.device))(cloud, near.trimmed(), radius)
-    return features
-
-
 @dataclass(frozen=True, kw_only=True)
 class Learned(Descriptor):
     """Histograms of color differences with trained bins and weights (``torchreg.LEARNED``)."""
@@ -184,8 +177,11 @@ class Learned(Descriptor):
     is_batched: ClassVar[bool] = True
 
     def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
-        """By the weights that come with the library."""
-        return shipped_color(cloud, near, self.radius if near.radius is None else near.radius)
+        """The color block of the shipped weights. No gradients."""
+        radius = self.radius if near.radius is None else near.radius
+        with torch.no_grad():
+            features: Features = _shipped(str(cloud.device))(cloud, near.trimmed(), radius)
+        return features
 
 
 def shipped_numbers() -> tuple[float, float]:

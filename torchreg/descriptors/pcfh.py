@@ -21,18 +21,12 @@ from torch import Tensor
 
 from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.histograms import (
-    count_votes,
-    counted_votes,
-    gather,
-    inverse_square_weights,
-    neighbor_votes,
-    weighted_sum,
-)
+from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, counted_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
 from torchreg.errors import at_least, expect, expect_floating, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CHANNELS = ("hue", "saturation", "value")
@@ -108,7 +102,7 @@ def pcfh(
         if reads and values.dtype == torch.float32:  # float64 sums by another code
             near = near.trimmed()
         hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
-        out = _from_own(hhd, enough, near, bins)
+        out = add_weighted_neighbors(hhd, near, bins).mul_(enough[:, None])
     else:
         out = soft_pcfh(
             cloud.points,
@@ -221,16 +215,3 @@ def _own_histograms(
             out[rows, place * bins : (place + 1) * bins] = counts * (100 / total)
     out *= enough[:, None]
     return out, enough
-
-
-def _from_own(hhd: Tensor, enough: Tensor, near: Neighborhoods, bins: int) -> Tensor:
-    """Eq. (4): the own histogram plus the neighbors', by inverse squared distance, scaled to 100 a channel."""
-    out = torch.empty_like(hhd)
-    for rows in row_chunks(len(hhd), near.max_neighbors):
-        weights = inverse_square_weights(near.sq_distance[rows], near.valid[rows]).to(hhd.dtype)
-        blocks = weighted_sum(hhd, near.index[rows], weights).view(-1, hhd.shape[1] // bins, bins)
-        total = blocks.sum(dim=2, keepdim=True)
-        scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
-        out[rows] = (blocks * scale).view(-1, hhd.shape[1]) + hhd[rows]
-    out *= enough[:, None]
-    return out

@@ -1,8 +1,8 @@
 """Mutual nearest neighbors in feature space (the paper, section 4.1).
 
-A pair (i, j) is mutual when fewer than K queries are nearer to j than i is. Queries that have j among their own
-nearest are known with their exact distances; of all others the least entries of column j are at hand. A pair is
-undecided where these lie within the bound on rounding, or are too few to rule it out; a search back then decides.
+A pair (i, j) is mutual when fewer than K queries are nearer to j than i is. The exact distances of queries that have j
+among their nearest are computed already; of all others the least entries of column j are. A pair is undecided where
+these lie within the bound on rounding, or are too few to rule it out; a search from j to the queries then decides.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class CandidatePairs(NamedTuple):
     target: Tensor  # (C,) int64, rows of the query and of the table
     distance: Tensor  # (C,) float64
     mutual: Tensor  # (C,) bool, certainly mutual
-    undecided: Tensor  # (C,) bool, not known; a pair that is neither is certainly not mutual
+    undecided: Tensor  # (C,) bool, may be mutual; a pair that is neither is certainly not
 
 
 def candidate_pairs(forth: FeatureNearest, neighbors: int) -> CandidatePairs:

@@ -1,13 +1,13 @@
 """Exact nearest neighbors in feature space, from tiles of a matrix product.
 
-The product is rounded in a way that depends on the shape of the tile and the number of threads. So it only proposes:
-a few more candidates than asked for, of which distances in float64, computed elementwise from the features as they
-came, decide. The answer is therefore the same for any tile and any number of threads.
+The product is rounded in a way that depends on the shape of the tile and the number of threads. So it only proposes a
+few more candidates than are wanted; distances in float64, computed elementwise from the given features, decide among
+them. The result is therefore the same for any tile and any number of threads.
 
 Rows with still more candidates within the bound on the rounding go to ``settle_ties``. Scans of walls have thousands
 of nearly or exactly equal features. So there the product is taken in float64, about the median of the queries, where
-such a crowd is, and of a table sorted by distance from there: what is no farther than d from a query lies between two
-spheres, hence in a slice. Equal rows are taken together. Ties go to the lower row.
+such a crowd is, and over a table sorted by distance from that median: rows no farther than d from a query lie between
+two spheres, hence in a slice. Equal rows are taken together. Ties go to the lower row.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class FeatureNearest(NamedTuple):
 
     row: Tensor  # (N, K) int64, ascending by (distance, row)
     distance: Tensor  # (N, K) float64, Euclidean
-    clear: Tensor  # (N,) bool, the product alone tells the row's nearest from all others
+    clear: Tensor  # (N,) bool, the product alone separates the row's nearest from all others
     # (K, M) entries of the product, per row of the table the least over the queries, without the nearest of clear
     # queries: at most one of a tile, ascending; infinity where there are fewer
     others: Tensor
@@ -147,7 +147,7 @@ def pair_distance(left: Tensor, right: Tensor, i: Tensor, j: Tensor) -> Tensor:
 
 
 def _clear(value: Tensor, limit: Tensor, count: int) -> Tensor:
-    """Rows (N,) whose ``count`` nearest the product tells from all others."""
+    """Rows (N,) whose ``count`` nearest the product separates from all others."""
     return value[:, count] > limit if count < value.shape[1] else torch.ones_like(limit, dtype=torch.bool)
 
 

@@ -33,9 +33,9 @@ class Product(NamedTuple):
     def error(self, norm: Tensor, distance: Tensor) -> Tensor:
         """Largest error of entries whose true distance is at most ``distance`` (...), scaled; (...) float64.
 
-        ``norm`` (...) are the lengths of the rows (or columns) looked at: whatever is no farther than d from one
-        of length n is no longer than n + d itself. Covers the errors of the product, of its factors and of the
-        float64 distances that decide.
+        ``norm`` (...) are the lengths of the rows (or columns) at hand: a row no farther than d from one of length n
+        is no longer than n + d. Covers the errors of the product, of its factors and of the float64 distances that
+        decide.
         """
         return self._unit() * (2 * norm + distance).square() + self._tiny()
 
@@ -92,8 +92,8 @@ def _ascending(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
     if count > _ONE_BY_ONE or values.shape[1] > _NARROW:
         value, column = values.topk(count, largest=False)
         return value, column
-    found = []
+    minima = []
     for _ in range(count):
-        found.append(values.min(dim=1, keepdim=True))
-        values.scatter_(1, found[-1].indices, float("inf"))
-    return torch.cat([each.values for each in found], dim=1), torch.cat([each.indices for each in found], dim=1)
+        minima.append(values.min(dim=1, keepdim=True))
+        values.scatter_(1, minima[-1].indices, float("inf"))
+    return torch.cat([each.values for each in minima], dim=1), torch.cat([each.indices for each in minima], dim=1)

@@ -84,12 +84,19 @@ def _log_masses(side: Tensor, other: Tensor, like: Tensor) -> Tensor:
 
 def _iterate(Z: Tensor, log_mu: Tensor, log_nu: Tensor, iterations: int) -> Tensor:
     """The transport plan (..., N+1, M+1) by plain operations."""
-    u, v, column = log_mu, _start(log_nu), log_nu
+    rows, columns = _steps(Z, log_mu, log_nu, iterations)
+    return _plan(Z, log_mu - rows[-1], columns[-1], log_nu)
+
+
+def _steps(Z: Tensor, log_mu: Tensor, log_nu: Tensor, iterations: int) -> tuple[list[Tensor], list[Tensor]]:
+    """The logarithms of the sums over rows (..., N+1) and over columns (..., M+1) in every iteration."""
+    v = _start(log_nu)
+    rows, columns = [], []
     for _ in range(iterations):
-        u = log_mu - (Z + v[..., None, :]).logsumexp(dim=-1)
-        column = (Z + u[..., None]).logsumexp(dim=-2)
-        v = log_nu - column
-    return _plan(Z, u, column, log_nu)
+        rows.append((Z + v[..., None, :]).logsumexp(dim=-1))
+        columns.append((Z + (log_mu - rows[-1])[..., None]).logsumexp(dim=-2))
+        v = log_nu - columns[-1]
+    return rows, columns
 
 
 def _start(log_nu: Tensor) -> Tensor:
@@ -105,12 +112,7 @@ def _plan(Z: Tensor, u: Tensor, column: Tensor, log_nu: Tensor) -> Tensor:
 class _Sinkhorn(TensorFunction):
     @staticmethod
     def forward(ctx: Any, Z: Tensor, log_mu: Tensor, log_nu: Tensor, iterations: int) -> Tensor:  # noqa: ANN401
-        v = _start(log_nu)
-        rows, columns = [], []
-        for _ in range(iterations):
-            rows.append((Z + v[..., None, :]).logsumexp(dim=-1))
-            columns.append((Z + (log_mu - rows[-1])[..., None]).logsumexp(dim=-2))
-            v = log_nu - columns[-1]
+        rows, columns = _steps(Z, log_mu, log_nu, iterations)
         ctx.save_for_backward(Z, log_mu, log_nu, torch.stack(rows), torch.stack(columns))
         ctx.iterations = iterations
         return _plan(Z, log_mu - rows[-1], columns[-1], log_nu)
@@ -118,7 +120,7 @@ class _Sinkhorn(TensorFunction):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:  # noqa: ANN401
         Z, log_mu, log_nu, rows, columns = ctx.saved_tensors
-        if torch.is_grad_enabled():  # somebody will differentiate this again
+        if torch.is_grad_enabled():  # a second derivative is wanted
             plan = _iterate(Z, log_mu, log_nu, ctx.iterations)
             return torch.autograd.grad(plan, Z, grads[0], create_graph=True)[0], None, None, None
         plan = _plan(Z, log_mu - rows[-1], columns[-1], log_nu)

@@ -1,10 +1,10 @@
 """Nearest target points of moving source points, searched only where they may have changed.
 
 A source point at p had its nearest target points at distances d1 <= d2 <= ... <= dK. Now it is at p', a step
-s = |p' - p| away. Every point but the first is at least d2 - s away now, so while the first is nearer than that, it
-is the nearest still. Where it is not, the nearest of the K is the nearest of all while it is nearer than dK - s. And
+s = |p' - p| away. Every point but the first is at least d2 - s away now, so as long as the first is nearer than that,
+it still is the nearest. Where it is not, the nearest of the K is the nearest of all if it is nearer than dK - s. And
 where d1 - s is above the largest distance allowed, there is no correspondence, whichever is the nearest. So the
-result is that of a full search, yet in most iterations of ICP hardly a point is searched.
+result is that of a full search, but in most iterations of ICP few points are searched.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.gather import gather_columns
 from torchreg.neighborhoods.distances import sum_of_squares
 from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
 from torchreg.refinement.blocks import BLOCK, Blocks
 
 FEW = 4
-"""Measured: with 4 the tree takes a third longer than with 2, and hardly a point is searched a second time."""
+"""Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few points are searched again."""
 
 Search = Callable[[Tensor], Tensor]
 """From queries (Q, 3) to the rows of their nearest, (Q, min(FEW, N)), ascending by distance."""
@@ -108,15 +109,15 @@ class Correspondence:
 
     def _choose(self, rows: Tensor, limit: Tensor) -> Tensor:
         """Decide the rows (Q,) of all blocks among the few of their last search; returns where that suffices."""
-        points = gather(self.moved.view(3, -1), rows)
-        step = _square(points, gather(self._searched_at.view(3, -1), rows)).sqrt_()
+        points = gather_columns(self.moved.view(3, -1), rows)
+        step = _square(points, gather_columns(self._searched_at.view(3, -1), rows)).sqrt_()
         others = self._others.view(-1)[rows] - step
         first = self._decide(rows, points, self._few.view(-1, FEW)[rows], others)
         return _known(first, others, torch.minimum(first, others), limit.view(-1)[rows // BLOCK])
 
     def _search(self, rows: Tensor) -> None:
         """Search anew for the rows (Q,) of all blocks."""
-        queries = gather(self.moved.view(3, -1), rows).t().contiguous()  # (Q, 3)
+        queries = gather_columns(self.moved.view(3, -1), rows).t().contiguous()  # (Q, 3)
         ends = torch.tensor(self.blocks.counts).cumsum(0) * BLOCK
         cuts = torch.searchsorted(rows, ends.to(rows.device)).tolist()  # rows ascend, so pair after pair
         few = rows.new_zeros(len(rows), FEW)
@@ -136,7 +137,7 @@ class Correspondence:
 
     def _store(self, rows: Tensor, points: Tensor, few: Tensor, full: Tensor) -> None:
         """Store the results ``few`` of a search for the rows (Q,) at points (3, Q); the last one bounds all others."""
-        last = _square(points, gather(self._target.values[:3], few[:, -1])).sqrt_()
+        last = _square(points, gather_columns(self._target.values[:3], few[:, -1])).sqrt_()
         others = torch.where(full, last, torch.inf)
         self._decide(rows, points, few, others)
         self._few.view(-1, FEW).index_copy_(0, rows, few)
@@ -145,12 +146,12 @@ class Correspondence:
 
     def _decide(self, rows: Tensor, points: Tensor, few: Tensor, others: Tensor) -> Tensor:
         """Store the nearest of ``few`` (Q, FEW) to points (3, Q), where all others are ``others`` (Q,) or more away."""
-        square = _square(points[:, :, None], gather(self._target.values[:3], few))  # (Q, FEW)
+        square = _square(points[:, :, None], gather_columns(self._target.values[:3], few))  # (Q, FEW)
         nearest, place = square.min(dim=1)
         chosen = few.gather(1, place[:, None])
         second = square.masked_fill_(few == chosen, torch.inf).amin(dim=1).sqrt_()
         first = nearest.sqrt()
-        _scatter(self.partner, rows, gather(self._target.values, chosen[:, 0]))
+        _scatter(self.partner, rows, gather_columns(self._target.values, chosen[:, 0]))
         _scatter(self._decided_at, rows, points)
         self.square.view(-1).index_copy_(0, rows, nearest)
         self._nearest.view(-1).index_copy_(0, rows, torch.minimum(first, others))
@@ -164,12 +165,6 @@ def _runs(target: Target, pairs: list[int], ends: list[int]) -> Iterator[tuple[i
         last = place + 1 == len(pairs)
         if last or target.search[pairs[place + 1]] is not target.search[pair]:
             yield end, target.search[pair], target.first[pair]
-
-
-def gather(values: Tensor, row: Tensor) -> Tensor:
-    """Columns of (A, N) at ``row`` of any shape: (A, ...); gathered line by line, which is faster."""
-    flat = row.reshape(-1)
-    return torch.stack([line.index_select(0, flat) for line in values.unbind(0)]).view(len(values), *row.shape)
 
 
 def _scatter(into: Tensor, rows: Tensor, values: Tensor) -> None:

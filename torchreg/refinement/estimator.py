@@ -1,4 +1,4 @@
-"""What the loop asks of a kind of ICP: terms to be summed over correspondences, and the update from the sums.
+"""A kind of ICP as the loop sees it: terms to be summed over correspondences, and the update from the sums.
 
 A new kind is one file with its ``IcpKind`` and one line in ``options.KINDS``.
 """
@@ -34,7 +34,7 @@ class Update(NamedTuple):
 
 
 class Estimator(NamedTuple):
-    """What the loop sums over correspondences, and how it gets from the sums to an update.
+    """The terms that the loop sums over correspondences, and the update from the sums.
 
     Attributes:
         channels: C.

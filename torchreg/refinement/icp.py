@@ -7,23 +7,26 @@ Besl and McKay (PAMI 14(2), 1992, doi:10.1109/34.121791); the update and the rul
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import cache, partial
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_device, expect_floating
 from torchreg.geometry.numerics.threads import shared_out
-from torchreg.refinement.checks import broken, expect_attributes
+from torchreg.geometry.se3 import apply_rotation
 from torchreg.refinement.levels import refine_levels
 from torchreg.refinement.loop import State
-from torchreg.refinement.options import IcpOptions
-from torchreg.refinement.pairing import Pairing, among, centered_frames, enter, leave, one_to_one
+from torchreg.refinement.options import KINDS, IcpOptions
+from torchreg.refinement.pairing import Pairing, among, centered_frames, enter, leave
 from torchreg.refinement.result import IcpResult
 from torchreg.types import Clouds
 
 _SHARED_POINTS = 20_000
 """Source points from which threads share the pairs: 5 pairs of 600 points take twice as long on two as on one."""
+
+_RIGID = 1e-3  # largest entry of R R^T - I that passes for rounding
+_LARGEST = 1e100  # coordinates whose squares and their sums stay finite
 
 
 def icp(
@@ -70,18 +73,17 @@ def icp(
         T_target_source,
     )
     expect_floating(T_target_source, "T_target_source")
-    chosen = _per_pair(options, pairs)
     T = T_target_source.to(source.device, torch.float64).expand(pairs, 4, 4)
-    return refine_pairs(source, target, one_to_one(pairs), T, chosen)
+    return refine_pairs(source, target, Pairing(range(pairs), range(pairs)), T, _per_pair(options, pairs))
 
 
 def refine_pairs(
     source: Clouds, target: Clouds, pairing: Pairing, T_target_source: Tensor, options: Sequence[IcpOptions]
 ) -> IcpResult:
-    """Refine B pairs of clouds that several of them may share; shapes are not checked.
+    """Refine B pairs, several of which may share a cloud; shapes are not checked.
 
     Many starts on one pair of clouds are many pairs here. Each cloud is checked, centered, ordered and searched through
-    one tree for all of them. A pair's result has the same bits as that of ``icp`` with clouds of its own.
+    one tree for all of them. A pair's result has the same bits as that of ``icp`` for this pair alone.
 
     Args:
         source: clouds with what the kinds need.
@@ -91,13 +93,16 @@ def refine_pairs(
         options: B of them; pairs that share a cloud have the same.
     """
     for kind in dict.fromkeys(option.kind for option in options):
-        expect_attributes(source, target, kind)
+        for side, name in KINDS[kind].needs:
+            values = getattr(source if side == "source" else target, name)
+            expect(values is not None, side, f"{name}, which kind={kind!r} needs", "none")
     source, target, T = source.detach(), target.detach(), T_target_source.detach()
-    state = State.start(T, broken(source, target, pairing, T, options))
+    state = State.start(T, _defects(source, target, pairing, T, options))
     refined = T.clone()
     lengths = source.lengths
     sizes = [lengths[one] for one in pairing.source]
-    workers = _workers(source, sum(sizes))
+    several = source.device.type == "cpu" and sum(sizes) >= _SHARED_POINTS
+    workers = torch.get_num_threads() if several else 1
     groups = _groups(options, state.failed, pairing, sizes, workers)
 
     def run(members: list[int]) -> tuple[Tensor, State]:
@@ -114,34 +119,24 @@ def refine_pairs(
         inlier_rmse=state.inlier_rmse,
         iterations=torch.tensor(state.iterations, dtype=torch.int64, device=T.device),
         converged=torch.tensor(state.converged, dtype=torch.bool, device=T.device),
-        reason=tuple(map(_reason, state.failed, state.converged, options)),
+        reason=tuple(
+            failed or ("" if converged else f"still moving after {option.steps[-1].iterations} iterations")
+            for failed, converged, option in zip(state.failed, state.converged, options, strict=True)
+        ),
     )
-
-
-class _Alike(NamedTuple):
-    """What the pairs of one batch must share."""
-
-    kind: str
-    kernel: str | None
-    levels: int
-
-
-def _workers(clouds: Clouds, points: int) -> int:
-    """Threads that share the pairs: on the CPU as many as torch may use, but one where that would take longer."""
-    return torch.get_num_threads() if clouds.device.type == "cpu" and points >= _SHARED_POINTS else 1
 
 
 def _groups(
     options: Sequence[IcpOptions], failed: Sequence[str], pairing: Pairing, sizes: Sequence[int], workers: int
 ) -> list[list[int]]:
-    """The pairs that can start, grouped by what a batch must share, every group in parts of about equal size.
+    """The pairs that can start, alike in kind, kernel and number of levels, in groups of about equal size.
 
     Pairs that share a target stay together.
     """
-    groups: dict[_Alike, dict[int, list[int]]] = {}
+    groups: dict[tuple[str, str | None, int], dict[int, list[int]]] = {}
     for b, option in enumerate(options):
         if not failed[b]:
-            by_target = groups.setdefault(_Alike(option.kind, option.kernel, len(option.steps)), {})
+            by_target = groups.setdefault((option.kind, option.kernel, len(option.steps)), {})
             by_target.setdefault(pairing.target[b], []).append(b)
     parts = []
     for by_target in groups.values():
@@ -168,10 +163,6 @@ def _refine(
     return torch.where(updated, leave(frames, state.rotation, state.translation), T), state
 
 
-def _reason(failed: str, converged: bool, option: IcpOptions) -> str:
-    return failed or ("" if converged else f"still moving after {option.steps[-1].iterations} iterations")
-
-
 def _per_pair(options: IcpOptions | Sequence[IcpOptions] | None, pairs: int) -> list[IcpOptions]:
     """The options of every pair."""
     if options is None or isinstance(options, IcpOptions):
@@ -182,3 +173,36 @@ def _per_pair(options: IcpOptions | Sequence[IcpOptions] | None, pairs: int) -> 
     for option in listed:
         expect(isinstance(option, IcpOptions), "options", "IcpOptions or a sequence of them", option)
     return listed
+
+
+def _defects(source: Clouds, target: Clouds, pairing: Pairing, T: Tensor, options: Sequence[IcpOptions]) -> list[str]:
+    """Why every pair cannot start, empty where it can."""
+    finite = torch.isfinite(T).all(dim=2).all(dim=1).tolist()
+    R = T[:, :3, :3]
+    square = apply_rotation(R[:, None], R)  # (B, 3, 3): R R^T, transposed
+    unit = ((square - torch.eye(3, dtype=T.dtype, device=T.device)).abs() < _RIGID).all(dim=2).all(dim=1)
+    rigid = (unit & (T[:, 3] == T.new_tensor([0.0, 0.0, 0.0, 1.0])).all(dim=1)).tolist()
+    defect = cache(partial(_defect, source, target))
+    defects = []
+    for b, (one, other, option) in enumerate(zip(*pairing, options, strict=True)):
+        if not finite[b]:
+            defects.append("the transform to start from is not finite")
+        elif not rigid[b]:
+            defects.append("the transform to start from is not rigid")
+        else:
+            defects.append(defect("source", one, option.kind) or defect("target", other, option.kind))
+    return defects
+
+
+def _defect(source: Clouds, target: Clouds, side: str, number: int, kind: str) -> str:
+    """Why one cloud of a side cannot be refined by a kind of ICP, empty where it can."""
+    clouds = source if side == "source" else target
+    begin, end = clouds.offsets[number : number + 2].tolist()
+    if begin == end:
+        return f"the {side} is empty"
+    needed = {"points": clouds.points[begin:end], "origin": clouds.origin[number]}
+    needed |= {name: getattr(clouds, name)[begin:end] for of_side, name in KINDS[kind].needs if of_side == side}
+    for name, values in needed.items():
+        if not bool((values.abs() < _LARGEST).all()):
+            return f"the {side} has {name} that are not finite"
+    return ""

@@ -38,15 +38,10 @@ def refine_levels(
     options: Sequence[IcpOptions],
     state: State,
 ) -> None:
-    """Take all pairs of ``state`` through the levels of their options.
+    """Refine all B pairs of ``state``, in place, level by level.
 
-    Args:
-        source: clouds, finite and not empty.
-        target: clouds likewise, with the normals and colors that the kind needs.
-        pairing: which of them make up the B pairs.
-        frames: of the B pairs.
-        options: B of them, alike in kind, kernel and number of levels.
-        state: where the pairs start from; afterwards, where they ended.
+    The clouds are finite, not empty, and have what the kind needs; the options are alike in kind, kernel and number of
+    levels.
     """
     pairs = list(range(len(options)))
     prepared: tuple[object, Prepared] | None = None

@@ -1,13 +1,13 @@
-"""The iteration: match, update, match again, until fitness and inlier_rmse stand still.
+"""The iteration: match, update, match again, until fitness and inlier_rmse no longer change.
 
-All pairs of a batch advance together; a pair that has converged or failed is active no more.
+All pairs of a batch advance together; a pair that has converged or failed is no longer active.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -59,30 +59,27 @@ class State:
 
     def of(self, pairs: list[int]) -> State:
         """A copy of the state of some pairs."""
-        return State(
-            rotation=self.rotation[pairs],
-            translation=self.translation[pairs],
-            fitness=self.fitness[pairs],
-            inlier_rmse=self.inlier_rmse[pairs],
-            iterations=[self.iterations[b] for b in pairs],
-            converged=[self.converged[b] for b in pairs],
-            failed=[self.failed[b] for b in pairs],
-        )
+        parts: dict[str, Any] = {
+            name: value[pairs] if isinstance(value, Tensor) else [value[b] for b in pairs]
+            for name, value in vars(self).items()
+        }
+        return State(**parts)
 
     def write(self, pairs: list[int], part: State) -> None:
         """Write the state of some pairs back."""
-        for name in ("rotation", "translation", "fitness", "inlier_rmse"):
-            getattr(self, name)[pairs] = getattr(part, name)
-        for name in ("iterations", "converged", "failed"):
-            for b, value in zip(pairs, getattr(part, name), strict=True):
-                getattr(self, name)[b] = value
+        for name, values in vars(part).items():
+            if isinstance(values, Tensor):
+                getattr(self, name)[pairs] = values
+            else:
+                for b, value in zip(pairs, values, strict=True):
+                    getattr(self, name)[b] = value
 
 
 class ActivePairs:
-    """The pairs still being refined: their correspondences and the columns of their source points.
+    """The pairs still being refined.
 
     Attributes:
-        matches: the correspondences of those pairs.
+        matches: their correspondences.
         extra: (E, n, 256), what the estimator reads of source points beside their positions.
     """
 
@@ -134,14 +131,9 @@ class ActivePairs:
 
 
 def iterate(active: ActivePairs, center: Tensor, estimator: Estimator, criteria: Criteria, state: State) -> None:
-    """Refine all pairs of ``state``, none of which has failed.
+    """Refine all pairs of ``state`` in place, none of which has failed.
 
-    Args:
-        active: all B pairs, not yet moved.
-        center: (B, 3) float64, meters, the targets' centers.
-        estimator: the kind of ICP.
-        criteria: when to stop.
-        state: where the pairs start from; afterwards, where they ended.
+    ``active`` are all B pairs, not yet moved; ``center`` (B, 3) float64, meters, those of the targets.
     """
     active.matches.move(state.rotation, state.translation)
     state.fitness[:], state.inlier_rmse[:] = active.measure()

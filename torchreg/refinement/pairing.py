@@ -28,11 +28,6 @@ class Pairing(NamedTuple):
     target: Sequence[int]  # B numbers
 
 
-def one_to_one(pairs: int) -> Pairing:
-    """The pairing where every pair has clouds of its own."""
-    return Pairing(range(pairs), range(pairs))
-
-
 def among(source: Clouds, target: Clouds, pairing: Pairing, pairs: Sequence[int]) -> tuple[Clouds, Clouds, Pairing]:
     """The clouds that these pairs need, each once, and their pairing among them."""
     one, source_numbers = _needed(source, [pairing.source[b] for b in pairs])
@@ -41,7 +36,7 @@ def among(source: Clouds, target: Clouds, pairing: Pairing, pairs: Sequence[int]
 
 
 def numbered(keys: Sequence[Key]) -> tuple[list[Key], list[int]]:
-    """The different keys, in the order in which they come, and the place of every key among them."""
+    """The different keys, in order of their first places, and the place of every key among them."""
     different = list(dict.fromkeys(keys))
     place = {key: number for number, key in enumerate(different)}
     return different, [place[key] for key in keys]

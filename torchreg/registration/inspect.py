@@ -18,7 +18,7 @@ _MOST_VOXELS = 1e6  # a side: what voxels can be numbered by
 
 
 class CloudFacts(NamedTuple):
-    """What is known of one cloud as it was given."""
+    """The facts of one cloud as it was given."""
 
     points: int  # how many
     extent: float  # meters, the longest edge of its bounding box; 0 where that means nothing
@@ -72,7 +72,7 @@ def set_aside(clouds: Clouds, refused: Sequence[object]) -> Clouds:
 
 
 def notes_on(source: Clouds, target: Clouds, options: Sequence[RegistrationOptions]) -> tuple[tuple[str, ...], ...]:
-    """Remarks on every pair: missing colors or viewpoints, and what is done without them."""
+    """Remarks on every pair, such as missing colors or viewpoints and their consequence."""
     return tuple(map(pair_notes, facts_of(source), facts_of(target), options))
 
 

@@ -41,13 +41,13 @@ class _Job(NamedTuple):
     """A cloud to be described."""
 
     cloud: int  # its number
-    description: Description  # with what
+    description: Description  # what it is described by
     pair: int = -1  # the pair that it is described for, where a descriptor looks at both clouds; else -1
     side: int = 0  # 0 for the source of that pair, 1 for the target; else 0
 
 
 class Plan:
-    """What ``register`` works on.
+    """The options and slices of a call of ``register``, and the described clouds of each slice.
 
     Attributes:
         options: of every pair.
@@ -77,7 +77,7 @@ class Plan:
         distinct = {number: single[number] for side in self._numbers for number in side}
         self._facts = {number: facts_of(cloud)[0] for number, cloud in distinct.items()}
         self.options = self._options(source, target, options, effort, solver)
-        # normals are estimated anew, and colors of one side alone tell nothing: so all clouds can be packed
+        # normals are estimated anew, and colors of one side alone are of no use: without them all clouds can be packed
         clouds = {
             number: replace(cloud, normals=None, colors=cloud.colors if self.colored else None)
             for number, cloud in distinct.items()
@@ -107,7 +107,7 @@ class Plan:
             )
             for side in range(2)
         ]
-        # what stays is copied out of its batch, whose memory it would hold otherwise
+        # what later pairs need is copied out of its batch, so that the memory of the batch is freed
         later = {job: cloud for job, cloud in self._described.items() if self._last[job] >= rows.stop}
         self._described = {job: cloud.clone() if job in new else cloud for job, cloud in later.items()}
         return sides[0], sides[1]

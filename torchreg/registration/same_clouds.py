@@ -1,4 +1,4 @@
-"""Which clouds of a batch are the same, to the bit: what is true of one need not be found again for the others."""
+"""Which clouds of a batch are the same, to the bit, so that each is measured and described once."""
 
 from __future__ import annotations
 
@@ -13,14 +13,9 @@ _PRIME = 1_000_003
 
 
 def same_clouds(batches: Sequence[Clouds]) -> list[list[int]]:
-    """Number the clouds of several batches so that equal ones, and only these, have the same number.
+    """Number the clouds of several batches on one device so that equal ones, and only these, have the same number.
 
-    Args:
-        batches: clouds on one device.
-
-    Returns:
-        For every batch one number per cloud; the number is the place of the first of the equal clouds, counted
-        through all batches.
+    The number of a cloud is the place of the first equal one, counted through all batches.
     """
     clouds = [cloud for batch in batches for cloud in batch.unpack()]
     if not clouds:
@@ -54,7 +49,7 @@ def _fingerprint(cloud: Clouds) -> Tensor:
 
 
 def _equal(one: Clouds, other: Clouds) -> bool:
-    """The same bits; NaN equals NaN, and 0.0 is not -0.0."""
+    """Whether two clouds have the same bits: NaN equals NaN, and 0.0 is not -0.0."""
     return all(
         (a is None) == (b is None)
         and (a is None or b is None or (a.dtype == b.dtype and torch.equal(*map(_bits, (a, b)))))

@@ -165,7 +165,7 @@ def options_of_spacings(
 
     Args:
         spacings: meters, of source and target, after the voxels where there are any.
-        voxel_size: meters, where it is settled; ``None`` asks for one only where the spacings are uneven.
+        voxel_size: meters, where it is decided; ``None`` sets one only where the spacings are uneven.
         scale: meters, the spacing that lengths follow; ``None`` takes the coarser one.
         colored: whether both clouds have colors.
         effort: as in ``RegistrationOptions``.

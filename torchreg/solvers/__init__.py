@@ -1,6 +1,6 @@
-"""From matches to poses: the solvers, and what they share. ``SOLVERS`` names each in one line."""
+"""From matches to poses: the solvers, and the steps that they share. ``SOLVERS`` names each in one line."""
 
-from torchreg.solvers.batch import one_per_pair, poses_of_pairs
+from torchreg.solvers.batch import poses_of_pairs
 from torchreg.solvers.compatibility import CompatibilityOptions
 from torchreg.solvers.points import MatchedPoints, base_seed
 from torchreg.solvers.poses import PairPoses
@@ -24,7 +24,6 @@ __all__ = [
     "Solver",
     "base_seed",
     "hypothesis_counts",
-    "one_per_pair",
     "poses_of_pairs",
     "result_of_poses",
     "solve",

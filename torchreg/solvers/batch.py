@@ -7,7 +7,6 @@ are centered, solved, scored and refitted together. The size of a group is bound
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -21,18 +20,8 @@ from torchreg.solvers.solver import Hypotheses, Solver
 from torchreg.types import Clouds, Correspondences, Failure
 from torchreg.types.packing import spans
 
-AnyOptions = TypeVar("AnyOptions")
-
 _GROUP_MATCHES = 1 << 16  # of a group's pairs, at the width of the longest
 _GROUP_HYPOTHESES = 1 << 18  # that wait to be scored together
-
-
-def one_per_pair(options: AnyOptions | Sequence[AnyOptions], pairs: int) -> list[AnyOptions]:
-    """Options for every pair, from one for all or one per pair."""
-    if not isinstance(options, Sequence):
-        return [options] * pairs
-    expect(len(options) == pairs, "options", f"one for all or one per pair ({pairs})", len(options))
-    return list(options)
 
 
 def poses_of_pairs(

@@ -1,4 +1,4 @@
-"""Whether the agreement of the winner is more than chance gives.
+"""Whether more matches agree with the best pose than by chance.
 
 The a-contrario test of Moisan and Stival (IJCV 57(3), 2004, doi:10.1023/B:VISI.0000013094.38752.54): were the
 matches unrelated to the transform, each would come within a distance e with a probability q(e). The expected
@@ -24,8 +24,8 @@ from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.types import Failure
 
 LOG10_FALSE_ALARMS = -12.0
-"""The most that is accepted. Neighboring points match neighboring points, so matches agree more often than
-independent ones would; that is what the distance from 0 allows for."""
+"""The most that is accepted. It lies far below 0 since matches are not independent: neighboring points match
+neighboring points, so they agree more often than independent ones would."""
 
 _FINER = tuple(2 ** (-j / 2) for j in range(9))
 _SAMPLE = 2000

@@ -39,7 +39,7 @@ class PairPoints(NamedTuple):
 
     source: Tensor  # (3, B, M) float64, meters, about each pair's mean; zeros behind the last of a pair
     target: Tensor  # (3, B, M) float64, likewise
-    valid: Tensor  # (B, M) bool, where a correspondence stands
+    valid: Tensor  # (B, M) bool, false behind the last correspondence of a pair
     score: Tensor  # (B, M) of the correspondences
     counts: tuple[int, ...]  # how many each pair has
     thresholds: tuple[float, ...]  # inlier threshold of each pair, meters

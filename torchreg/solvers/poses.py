@@ -126,14 +126,14 @@ def _distinct(hypotheses: Sequence[Hypotheses], points: PairPoints, rounds: int,
 def pose_vectors(rotation: Tensor, translation: Tensor, source: Tensor) -> Tensor:
     """(12, H) of poses (3, 3, H), (3, H): their distances are rms displacements of ``source`` (3, M), meters.
 
-    Made by elementwise operations, so that a pose has its bits whatever stands beside it.
+    Elementwise operations, so that the bits of a pose do not depend on the others.
     """
     mean, root = _moments(source[:, None], torch.ones_like(source[:1], dtype=torch.bool), [source.shape[1]])
     return _vectors(rotation, translation, mean.to(rotation), root.to(rotation))
 
 
 def pose_vectors_of_pairs(rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints) -> Tensor:
-    """``pose_vectors`` of poses of the pairs ``pair`` (H,), each over its own pair's source points."""
+    """``pose_vectors`` of poses of the pairs ``pair`` (H,), each over the source points of its pair."""
     mean, root = _moments(points.source, points.valid, points.counts)
     return _vectors(rotation, translation, mean.to(rotation)[:, pair], root.to(rotation)[..., pair])
 

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.errors import expect
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.neighborhoods.coverage import coverage
-from torchreg.solvers.batch import one_per_pair, poses_of_pairs
+from torchreg.solvers.batch import poses_of_pairs
 from torchreg.solvers.chance import log10_false_alarms, no_consensus
 from torchreg.solvers.poses import PairPoses
 from torchreg.solvers.solver import Solver
@@ -38,7 +39,9 @@ def solve(
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
     """
-    solvers = one_per_pair(solver, len(matches))
+    pairs = len(matches)
+    solvers = list(solver) if isinstance(solver, Sequence) else [solver] * pairs
+    expect(len(solvers) == pairs, "options", f"one for all or one per pair ({pairs})", len(solvers))
     poses = poses_of_pairs(source, target, matches, solvers, seed)
     return result_of_poses(source, target, matches, poses, solvers)
 

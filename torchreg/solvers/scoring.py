@@ -102,7 +102,7 @@ def by_msac(support: Tensor, error: Tensor, limit: Tensor) -> Tensor:
 
 
 QUALITIES: dict[str, Quality] = {"count": by_count, "msac": by_msac}
-"""What hypotheses are compared by, by the name in a solver's ``scoring``."""
+"""Qualities by which hypotheses are compared, by the name in a solver's ``scoring``."""
 
 
 class Scored(NamedTuple):
@@ -114,7 +114,7 @@ class Scored(NamedTuple):
     inliers: Tensor  # (H, M) bool, M being that of the longest pair
     support: Tensor  # (H,) int64, the number of inliers
     error: Tensor  # (H,) sum of squared residuals of the inliers, square meters
-    quality: Tensor  # (H,) float64, what hypotheses are compared by: the higher, the better
+    quality: Tensor  # (H,) float64, the higher, the better
 
     def take(self, index: Tensor) -> Scored:
         """The hypotheses ``index`` (K,), in that order."""

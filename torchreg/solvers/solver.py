@@ -92,14 +92,14 @@ class Hypotheses:
 class Solver:
     """How matches become poses. To add a solver is to write a subclass with a ``name`` and ``propose``.
 
-    What a solver proposes is scored on all matches of the pair, refitted to its inliers, thinned to distinct poses and
-    tested against chance by what all solvers share.
+    Its hypotheses are scored on all matches of the pair, refitted to their inliers, thinned to distinct poses and tested
+    against chance by code that all solvers share.
 
     Attributes:
         name: of the solver, in options, tables and ``SOLVERS``.
         inlier_threshold: meters; a correspondence farther apart than this after the transform is an outlier.
         local_optimization: rounds of refitting to the inliers of the best hypotheses; 0 keeps them as proposed.
-        scoring: what transforms are compared by: ``"count"`` of inliers, or ``"msac"``, where an inlier counts
+        scoring: how transforms are compared: by the ``"count"`` of inliers, or by ``"msac"``, where an inlier counts
             for 1 - (residual / threshold)^2.
 
     Example:

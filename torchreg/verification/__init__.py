@@ -1,4 +1,4 @@
-"""Which candidate pose is right, if any: asked of the clouds themselves, answered with a probability."""
+"""Which candidate pose is right, if any, judged on the clouds themselves and given with a probability."""
 
 from torchreg.verification.pairs import WORK, PairLengths, ProposedPoses, WorkPerPair, proposals_of
 

@@ -1,8 +1,8 @@
 """How far the matches support a pose: the probability that chance alone brings as many agreements.
 
-Matches within the threshold are counted and judged against what unrelated matches would give under the same pose:
-each source point paired with the target points of other matches. Points that lie close together share their
-neighborhoods and so their features, and their matches agree or fail together. So places are counted, not matches:
+Matches within the threshold are counted and compared with the count of unrelated matches under the same pose: each
+source point paired with the target points of other matches. Points that lie close together share their neighborhoods
+and so their features, and their matches agree or fail together. So places are counted, not matches:
 the source is cut into cells about as wide as a feature's support, and every cell counts by the share of its matches
 that agree.
 """

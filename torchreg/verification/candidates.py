@@ -1,8 +1,8 @@
 """Candidate poses of a group of pairs: those that solvers proposed, which of them are distinct, and probes.
 
-Probes are poses that would do as well if the scene were to blame: displaced along what the surfaces leave open, or
-turned round. A verdict that compares only what the solver proposed is blind to all else. A plane, a corridor and a
-hall like its mirror image admit other poses; these are tried on purpose.
+Probes are poses that an ambiguous scene supports as well: displaced along the motion that the surfaces resist least, or
+turned by half. A plane, a corridor and a hall that equals its mirror image admit such poses, which the solvers need not
+have proposed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SLIDE, HALF_TURN = -1, -2
 """Origins of probes."""
 
 _STEPS = (-16.0, -8.0, 8.0, 16.0)
-"""Displacements along the weakest motion, in inlier thresholds: beyond what counts as the same pose."""
+"""Displacements along the weakest motion, in inlier thresholds: farther than poses that count as the same."""
 
 
 class Run(NamedTuple):
@@ -50,17 +50,10 @@ class Poses(NamedTuple):
         """(H, 4, 4)."""
         return rigid(self.rotation, self.translation)
 
-    def moved(self, T: Tensor) -> Poses:
-        """The same with other transforms (H, 4, 4)."""
-        return self._replace(rotation=T[:, :3, :3], translation=T[:, :3, 3])
-
     def vectors(self, frames: Tensor) -> Tensor:
-        """(12, H), whose distances are rms displacements of points, meters.
+        """(12, H), whose distances are rms displacements of points, meters (``torchreg.solvers.poses.pose_vectors``).
 
-        As ``torchreg.solvers.poses.pose_vectors``.
-
-        Args:
-            frames: (G, 4, 3) of every pair's points: the columns of a root of their covariance, and their mean.
+        ``frames`` (G, 4, 3) are the columns of a root of the covariance of every pair's points, and their mean.
         """
         turned = apply_rotation(self.rotation[:, None], frames[self.pair])  # (H, 4, 3)
         turned[:, 3] += self.translation
@@ -128,14 +121,10 @@ def runs_of(pair: Tensor) -> list[Run]:
 
 
 def distinct(vectors: Tensor, pair: Tensor, apart: Tensor) -> list[int]:
-    """Rows of the poses that move their points farther than ``apart`` from all that were kept before them.
+    """Rows of the poses that move their points farther than ``apart`` from all that are kept before them.
 
-    All poses of a pair are compared at once: at these numbers one by one, as the solvers do it, takes ten times longer.
-
-    Args:
-        vectors: (12, H), as ``Poses.vectors``, the poses of each pair from the best down.
-        pair: (H,) int64, ascending.
-        apart: (G,) float64, meters, of every pair.
+    As ``solvers.poses.spread_out``, with vectors (12, H), pairs (H,) and a distance of every pair, ``apart`` (G,). All
+    poses of a pair are compared at once: for so few, one by one, as the solvers do it, takes ten times longer.
     """
     runs = runs_of(pair)
     most = max(run.end - run.begin for run in runs)
@@ -166,7 +155,7 @@ def point_moments(points: Tensor, valid: Tensor, counts: Tensor) -> PointMoments
 
 
 def frames(moments: PointMoments) -> Tensor:
-    """(G, 4, 3): the columns of a root of each covariance, then the mean; what ``Poses.vectors`` takes."""
+    """(G, 4, 3): the columns of a root of each covariance, then the mean, as ``Poses.vectors`` takes them."""
     values, vectors = torch.linalg.eigh(moments.products / moments.counts[:, None, None])
     root = vectors * values.clamp(min=0).sqrt()[:, None]
     return torch.cat([root.transpose(1, 2), moments.mean[:, None]], dim=1)

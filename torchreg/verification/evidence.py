@@ -1,6 +1,6 @@
-"""What the clouds themselves tell about a pose, beyond the matches that it was estimated from.
+"""Evidence of the clouds themselves for a pose, beyond the matches that it was estimated from.
 
-Asked from both sides: which points of one scan have a partner in the other (overlap), whether the surfaces
+In both directions: which points of one scan have a partner in the other (overlap), whether the surfaces
 face the same way there (normals), whether their colors go together up to brightness and contrast of every channel
 (colors), and whether one scan stands where the other scanner saw free space (conflict).
 """
@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.gather import gather_columns
 from torchreg.geometry.numerics.sums import padded_length, padded_row_sums
 from torchreg.verification.free_space import RangeImages, visibility
 from torchreg.verification.information import strengths
 from torchreg.verification.model import Evidence
 from torchreg.verification.partners import partners
-from torchreg.verification.scans import Scans, gathered, rotated
+from torchreg.verification.scans import Scans, rotated
 
 _LEAST_VARIANCE = 1e-5  # of a channel in [0, 1]: below it, the channel is one gray value and its rounding
 _STRIDE = 3  # of the points that tell the strength
@@ -36,15 +37,9 @@ class Overlap(NamedTuple):
 def evidence(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, translation: Tensor, threshold: Tensor
 ) -> Evidence:
-    """Weigh poses of G pairs, all of them in step; a pose's numbers do not depend on what stands beside it.
+    """Weigh poses of G pairs together; the evidence for a pose does not depend on the others.
 
-    Args:
-        source: of G pairs.
-        target: likewise.
-        pair: (H,) int64, ascending, which pair each pose belongs to.
-        rotation: (H, 3, 3) float64.
-        translation: (H, 3) float64, meters: x_target = R x_source + t in the frames of the points.
-        threshold: (G,) float64, meters.
+    Poses are as in ``candidates.Poses``; ``threshold`` (G,) float64, meters, is that of an inlier.
     """
     back = rotation.transpose(-1, -2)
     home = -(back * translation[:, None, :]).sum(dim=-1)
@@ -59,10 +54,10 @@ def overlap(source: Scans, target: Scans, rotation: Tensor, translation: Tensor,
     close = nearest.square < threshold.square().float()[:, None]
     order = close.byte().sort(dim=1, descending=True, stable=True).indices  # those that are close come first
     close, row = close.gather(1, order), nearest.row.gather(1, order)
-    points = gathered(target.all_points, row).masked_fill_(~close, 0.0)
+    points = gather_columns(target.all_points, row).masked_fill_(~close, 0.0)
     if target.all_normals is None:
         return Overlap(points, torch.zeros_like(points), close)
-    return Overlap(points, gathered(target.all_normals, row).masked_fill_(~close, 0.0), close)
+    return Overlap(points, gather_columns(target.all_normals, row).masked_fill_(~close, 0.0), close)
 
 
 def _one_way(
@@ -89,7 +84,7 @@ def _of_poses(source: Scans, target: Scans, pair: Tensor, R: Tensor, t: Tensor, 
     closeness = _over(1 - nearest.square / square_limit, close) / some
     normals, colors, conflict, strength = nothing, nothing, nothing, torch.zeros_like(count)
     if source.normals is not None and target.all_normals is not None:
-        facing = gathered(target.all_normals, nearest.row)
+        facing = gather_columns(target.all_normals, nearest.row)
         x, y, z = rotated(R, source.normals[:, pair]).mul_(facing).unbind(0)
         cosine = x.add_(y).add_(z)
         known = (source.faced & target.faced)[pair, None]
@@ -97,7 +92,7 @@ def _of_poses(source: Scans, target: Scans, pair: Tensor, R: Tensor, t: Tensor, 
         normals = torch.where(count > 0, _over(cosine, close) / some, nothing)
         strength = strengths(*(_thinned(values) for values in (moved, facing, close)))
     if source.colors is not None and target.all_colors is not None:
-        colors = _correlation(source.colors[:, pair], gathered(target.all_colors, nearest.row), close)
+        colors = _correlation(source.colors[:, pair], gather_columns(target.all_colors, nearest.row), close)
     if target.images is not None:
         conflict = _conflict(target.images, target.image[pair], moved, valid, limit)
     return Evidence(count / source.counts[pair].clamp(min=1), closeness, normals, colors, strength, conflict)

@@ -1,4 +1,4 @@
-"""Free space: what a scanner saw through cannot hold a surface of the other scan.
+"""Free space: a scanner saw through it, so no surface of the other scan can lie in it.
 
 A scanner that measured a surface at range r in some direction saw nothing before it. A point of the other scan
 that falls well short of r in that direction contradicts the pose, unless the scene changed in between. Points
@@ -26,7 +26,7 @@ class RangeImage(NamedTuple):
     # (S, S), meters; infinite where nothing was seen. Each cell holds the least of itself and its neighbors
     ranges: Tensor
     seen: Tensor  # (S, S) bool, cells in which the scanner measured something
-    near: float  # meters; closer than that the points are too sparse in angle to tell free space
+    near: float  # meters; nearer points are too sparse in angle to show free space
 
 
 class RangeImages(NamedTuple):
@@ -41,7 +41,7 @@ class RangeImages(NamedTuple):
 
 
 class Visibility(NamedTuple):
-    """How points stand to the surfaces that a scanner saw."""
+    """Where points lie relative to the surfaces that a scanner saw."""
 
     before: Tensor  # (R, N) bool, well before a surface: in free space
     on: Tensor  # (R, N) bool, at the surface
@@ -82,13 +82,13 @@ def side_by_side(images: Sequence[RangeImage]) -> RangeImages:
 
 
 def visibility(images: RangeImages, which: Tensor, points: Tensor, margin: Tensor) -> Visibility:
-    """Where points stand to the images of scanners.
+    """Where points lie relative to the surfaces in range images.
 
     Args:
         images: of G scanners.
         which: (R,) int64, whose image each row is compared with.
         points: (3, R, N), in the scanners' frames, meters.
-        margin: (R,) meters; it tells before from on.
+        margin: (R,) meters; points less than this before a surface count as on it.
     """
     ray = points - images.viewpoint[:, which, None]
     distance = _length(ray)

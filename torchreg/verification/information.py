@@ -1,8 +1,8 @@
-"""How firmly the overlapping surfaces hold a pose.
+"""How firmly the overlapping surfaces constrain a pose.
 
 Two 6x6 matrices over the same points. Open3D's information matrix sums J^T J of point-to-point residuals, which
-resist motion in all directions. A scan slides along a plane or an axis all the same: there only the
-residuals across the surface count, those of point-to-plane. The balance of that second matrix is the strength
+resist motion in all directions. Yet a scan slides along a plane or an axis: only the residuals across the surface
+constrain it, those of point-to-plane. The balance of that second matrix is the strength
 (Gelfand et al., Geometrically stable sampling for the ICP algorithm, 3DIM 2003, doi:10.1109/IM.2003.1240258).
 """
 

@@ -6,7 +6,7 @@ At most one of the distinct candidates of a pair is right, and perhaps none. Wit
 
 a conditional logit with an outside option (McFadden, 1974). So two poses that the clouds support alike share the
 probability between them, and neither comes out as certain. The log-odds are linear in a few terms of the evidence;
-their weights stand in weights.json beside this file, with what they were fitted to and how.
+their weights are in weights.json beside this file, with the data and the method of the fit.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ WEIGHTS = Path(__file__).with_name("weights.json")
 class Term(NamedTuple):
     """One term of the log-odds."""
 
-    weight: float  # what the fit gave it
+    weight: float  # as fitted
     typical: float  # its mean over right poses (of those that have colors, viewpoints)
-    prior: float  # the weight set by hand that the fit starts from and is held to
+    prior: float  # the weight set by hand that the fit starts from and stays near
     low: float | None = None  # the evidence counts as at least this much; ``None``: unbounded
     high: float | None = None  # likewise at most: beyond an overlap of 0.3, say, a pose is not the likelier
 
 
 class Evidence(NamedTuple):
-    """What the clouds themselves tell about H poses, (H,) float64 each.
+    """The evidence of the clouds themselves for H poses, (H,) float64 each.
 
     Attributes:
         overlap: share of points with a partner nearer than the threshold, the mean over both directions.
@@ -59,12 +59,12 @@ class Evidence(NamedTuple):
 
 
 def load_terms(path: Path = WEIGHTS) -> dict[str, Term]:
-    """The terms as ``save_terms`` wrote them; without a path, those that come with the library."""
+    """Read terms as ``save_terms`` wrote them; without a path, those shipped with the library."""
     return {name: Term(**numbers) for name, numbers in json.loads(path.read_text())["terms"].items()}
 
 
 def save_terms(terms: Mapping[str, Term], provenance: Mapping[str, Any], path: Path = WEIGHTS) -> None:
-    """Write terms, every float to its last bit, below where they come from."""
+    """Write terms, every float to its last bit, after their provenance."""
     written = {
         name: {field: value for field, value in term._asdict().items() if value is not None}
         for name, term in terms.items()

@@ -1,4 +1,4 @@
-"""The pairs of a batch as the verification takes them: what is given of them, their groups, and each prepared."""
+"""The pairs of a batch as the verification takes them: their poses and lengths, groups of pairs, and each prepared."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ WORK = {
     "balanced": WorkPerPair(poses=10, sample=1000, refined=3, iterations=10),
     "thorough": WorkPerPair(poses=16, sample=1500, refined=8, iterations=20),
 }
-"""Work by effort. Points that lie far apart tell less, so that "fast" asks for a higher probability."""
+"""Work by effort. Points that lie farther apart are weaker evidence, so "fast" needs a higher probability."""
 
 
 class PairLengths(NamedTuple):
@@ -66,7 +66,7 @@ class CenteredPair(NamedTuple):
 
 
 class PreparedPairs(NamedTuple):
-    """What poses of G pairs are weighed on."""
+    """The scans and matches of G pairs, on which poses are weighed."""
 
     source: Scans  # the source scans
     target: Scans  # the target scans
@@ -82,18 +82,18 @@ class Groups(NamedTuple):
 
 
 def proposals_of(proposed: Sequence[ProposedPoses], b: int) -> tuple[Proposal, ...]:
-    """What every proposal had for one pair."""
+    """The counts of every proposal for one pair."""
     return tuple(
         Proposal(
             origin=part.origin,
-            matches=part.poses[b].inliers.shape[1],
-            drawn=part.poses[b].drawn,
-            kept=part.poses[b].kept,
-            scored=part.poses[b].scored,
-            poses=len(part.poses[b].support),
-            support=int(part.poses[b].support[0]) if len(part.poses[b].support) > 0 else 0,
+            matches=poses.inliers.shape[1],
+            drawn=poses.drawn,
+            kept=poses.kept,
+            scored=poses.scored,
+            poses=len(poses.support),
+            support=int(poses.support[0]) if len(poses.support) > 0 else 0,
         )
-        for part in proposed
+        for part, poses in ((part, part.poses[b]) for part in proposed)
     )
 
 

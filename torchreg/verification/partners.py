@@ -1,7 +1,7 @@
 """The nearest points of scans to moved points, of all pairs at once: cells rule most out, trees search the rest.
 
-Most points under a wrong pose have no partner within the threshold. To look up their cell takes a fraction of the
-time of a search, and a search from far away takes longest.
+Most points under a wrong pose have no partner within the threshold. Looking up their cell takes a fraction of the time
+of a search, and searches from far away take longest.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Occupancy(NamedTuple):
 
 
 class PartnerSearch(NamedTuple):
-    """What answers ``partners``, of G scans."""
+    """The cells and trees of G scans in which ``partners`` searches."""
 
     occupancy: Occupancy  # where partners can be
     trees: Sequence[PointIndex]  # over the points of every scan
@@ -48,13 +48,9 @@ class Partners(NamedTuple):
 
 
 def partners(search: PartnerSearch, pair: Tensor, moved: Tensor, valid: Tensor) -> Partners:
-    """Find the nearest point of every query.
+    """Find the nearest point of every query, ``moved`` (3, R, L) float32 in the frames of the scans, meters.
 
-    Args:
-        search: of the scans of G pairs.
-        pair: (R,) int64, ascending, which pair each row of queries belongs to.
-        moved: (3, R, L) float32, queries in the frames of the scans, meters.
-        valid: (R, L) bool, false where a row is filled up.
+    ``pair`` (R,) ascends, the pair that each row of queries belongs to; ``valid`` (R, L) is false behind its end.
     """
     asked = (can_be_near(search.occupancy, pair, moved) & valid).view(-1).nonzero()[:, 0]  # (Q,)
     queries = moved.view(3, -1).index_select(1, asked).t().contiguous()

@@ -1,8 +1,8 @@
 """The scans of one side, source or target, of a group of pairs, prepared for poses to be weighed on them.
 
-Of every scan there is an even sample of its points, a search tree over all of them, and an image of what its scanner
-saw. Coordinates stand apart, (3, G, L), and the samples are filled up with zeros to one length L, so that one
-operation serves the poses of all pairs and sums keep their order (``geometry.numerics.sums``).
+Of every scan there is an even sample of its points, a search tree over all of them, and an image of the ranges that its
+scanner measured. Coordinates stand apart, (3, G, L), and the samples are filled up with zeros to one length L, so that
+one operation serves the poses of all pairs and sums keep their order (``geometry.numerics.sums``).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Scans(NamedTuple):
     origin: Tensor  # (G, 3) float64, meters, where the points' zero lies in the frame of the file
     faced: Tensor  # (G,) bool, whether normals point to a known scanner
     search: PartnerSearch  # for the nearest of all points
-    images: RangeImages | None  # of those scanners whose place is known, ``None`` where no place is
+    images: RangeImages | None  # of the scanners whose position is known, ``None`` where no position is
     image: Tensor  # (G,) int64, which of the images is the scan's; -1 where it has none
 
 
@@ -98,12 +98,6 @@ def even_rows(sizes: Sequence[int], most: int, device: torch.device) -> list[Ten
         torch.arange(min(most, size), device=device) * size // max(1, min(most, size)) + first
         for size, first in zip(sizes, offsets_of(sizes)[:-1].tolist(), strict=True)
     ]
-
-
-def gathered(planes: Tensor, row: Tensor) -> Tensor:
-    """Columns of (C, P) at rows of any shape: (C, ...)."""
-    flat = row.reshape(-1)
-    return torch.stack([plane.index_select(0, flat) for plane in planes.unbind(0)]).view(len(planes), *row.shape)
 
 
 def rotated(rotation: Tensor, planes: Tensor) -> Tensor:

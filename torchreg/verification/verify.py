@@ -1,8 +1,8 @@
 """The verdict on every pair of a batch: poses of all proposals in, one transform with its probability out.
 
 The candidates of a pair compete on its clouds: all poses are weighed, the best are refined, and poses that the
-solvers did not propose are tried beside the best. All pairs of a group take every step together; what is decided for a
-pair depends on that pair alone.
+solvers did not propose are tried beside the best. All pairs of a group take every step together; the verdict on a pair
+depends on that pair alone.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from torchreg.verification.candidates import (
     runs_of,
     slides,
 )
-from torchreg.verification.evidence import evidence, overlap
-from torchreg.verification.information import information_matrices, weakest_motions
+from torchreg.verification.evidence import Overlap, evidence, overlap
+from torchreg.verification.information import WeakestMotion, information_matrices, weakest_motions
 from torchreg.verification.model import log_odds
 from torchreg.verification.pairs import (
     PairLengths,
@@ -98,12 +98,16 @@ def verify(
 def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     """Choose among the poses of every pair.
 
-    Args:
-        pairs: what they are weighed on.
-        poses: at least one of every pair; pair by pair, in order of their proposals, best first within each.
-        work: spent per pair.
+    ``poses``, at least one of every pair, come pair by pair, in order of their proposals, best first within each.
     """
     source, target = pairs.source, pairs.target
+
+    def best_held(candidates: Candidates) -> tuple[Candidates, Overlap, WeakestMotion]:
+        """The best candidate of every pair, the overlap under it, and the motion that this overlap resists least."""
+        best = candidates.take(_foremost(candidates, 1))
+        shared = overlap(source, target, best.poses.rotation, best.poses.translation, pairs.threshold)
+        return best, shared, weakest_motions(*shared)
+
     span = frames(point_moments(source.points, source.valid, source.counts))
     middle = point_moments(target.points, target.valid, target.counts)
     icp = _Icp(pairs, work.iterations)
@@ -111,18 +115,14 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     foremost = candidates.take(_foremost(candidates, work.refined))
     candidates = _distinct(pairs, span, joined_candidates([icp.refine(foremost), candidates]))
 
-    best = candidates.take(_foremost(candidates, 1))
-    shared = overlap(source, target, best.poses.rotation, best.poses.translation, pairs.threshold)
-    motion = weakest_motions(*shared)
+    best, shared, motion = best_held(candidates)
     probes = joined([slides(best.poses, motion, pairs.threshold), half_turns(best.poses, middle)])
     probed = weigh(pairs, probes.take(probes.pair.sort(stable=True).indices))
     promising = (probed.odds > best.odds[probed.poses.pair] - _HOPELESS).nonzero()[:, 0]
     if len(promising) > 0:
         refined = icp.refine(probed.take(promising))
         candidates = _distinct(pairs, span, joined_candidates([candidates, refined]))
-        best = candidates.take(_foremost(candidates, 1))
-        shared = overlap(source, target, best.poses.rotation, best.poses.translation, pairs.threshold)
-        motion = weakest_motions(*shared)
+        _, shared, motion = best_held(candidates)
 
     in_file = shared.points.double() + target.origin.t()[..., None]
     sampled = torch.tensor(source.sizes, device=in_file.device) / source.counts.clamp(min=1)
@@ -153,7 +153,7 @@ class _Icp:
     """ICP for poses of a group of pairs, all at once, on clouds that are thinned once."""
 
     def __init__(self, pairs: PreparedPairs, iterations: int) -> None:
-        """On ``pairs``, with so many iterations at most."""
+        """Thin the clouds of the pairs."""
         self._pairs = pairs
         source, target = pairs.source, pairs.target
         rows = even_rows(source.sizes, _ICP_POINTS, source.all_points.device)
@@ -180,7 +180,9 @@ class _Icp:
             candidates.poses.matrices(),
             [self._options[pair] for pair in numbers],
         )
-        after = weigh(self._pairs, candidates.poses.moved(result.T_target_source))
+        T = result.T_target_source
+        moved = candidates.poses._replace(rotation=T[:, :3, :3], translation=T[:, :3, 3])
+        after = weigh(self._pairs, moved)
         rows = torch.arange(len(numbers), device=candidates.odds.device)
         better = after.odds > candidates.odds
         return joined_candidates([candidates, after]).take(torch.where(better, rows + len(numbers), rows))
@@ -194,7 +196,7 @@ def _foremost(candidates: Candidates, count: int) -> Tensor:
 
 
 def _distinct(pairs: PreparedPairs, span: Tensor, candidates: Candidates) -> Candidates:
-    """Best first, without poses that repeat a better one; what a solver proposed as well is not called a probe."""
+    """Best first, without poses that repeat a better one; a probe near a proposed pose takes the origin of that one."""
     ordered = candidates.best_first()
     apart = _APART * pairs.threshold
     vectors = ordered.poses.vectors(span)  # (12, H)

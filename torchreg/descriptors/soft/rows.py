@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.histograms import gather, neighbor_votes
+from torchreg.descriptors.histograms import neighbor_votes
 from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
 from torchreg.geometry.numerics.derivatives import TensorFunction, derivative_wanted, transformed
+from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Neighborhoods
 
 

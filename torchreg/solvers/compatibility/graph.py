@@ -4,8 +4,8 @@ A rigid motion keeps lengths, so two inliers i, j have
 
     A_ij = 1  where  | |p_i - p_j| - |q_i - q_j| | < threshold,  i != j
 
-and so have many outliers by chance. The second order counts common partners, A_ij (A A)_ij: two inliers share all
-other inliers, outliers only what chance gives (SC2-PCR: Chen, Sun, Yang and Tao, CVPR 2022,
+and many outliers have it by chance. The second order counts common partners, A_ij (A A)_ij: two inliers share all
+other inliers, outliers only a few by chance (SC2-PCR: Chen, Sun, Yang and Tao, CVPR 2022,
 doi:10.1109/CVPR52688.2022.01287, Eq. 4 to 6).
 """
 

@@ -1,11 +1,11 @@
-"""Of many correspondences, those that agree with more others than chance gives.
+"""Of many correspondences, those that agree with more others than by chance.
 
 Among 20,000 correspondences 200 inliers agree with each other, and with a thousand more by chance: more of them near
-the middle of the scene, where distances are alike, than at its rim. What chance gives is known for every
-correspondence, from the distances of its two points to all others, each side by itself: had the others been matched
-at random, two distances of the two histograms would be within the threshold that often. Chosen are those with the
-highest excess in standard deviations; then once more, counted against the chosen ones alone, among whom inliers are
-many times as frequent.
+the middle of the scene, where distances are alike, than at its rim. The number expected by chance follows for every
+correspondence from the distances of its two points to all others, each side by itself: had the others been matched
+at random, two distances of the two histograms would be within the threshold that often. Those with the highest excess
+in standard deviations are chosen; then once more, counted against the chosen ones alone, among which inliers are many
+times as frequent.
 """
 
 from __future__ import annotations

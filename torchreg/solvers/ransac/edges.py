@@ -1,14 +1,14 @@
-"""Samples that cannot be right, told from the lengths of their edges before any solve.
+"""Samples that cannot be right by the lengths of their edges, dropped before any solve.
 
 A rigid motion keeps lengths. So a sample is dropped when an edge of its polygon in one cloud is shorter than
 ``edge_similarity`` times the same edge in the other (as Open3D's CorrespondenceCheckerBasedOnEdgeLength; the
 paper: 0.9), or when it has no length: a point twice. And a transform that brings both ends of an edge within a
-threshold of their partners changes its length by no more than twice the threshold; what changes more needs no solve
-to be known not to fit.
+threshold of their partners changes its length by no more than twice the threshold; an edge that changes more cannot
+fit.
 
-There are as many edges among 180 correspondences as in 10,000 samples, and a run draws 600,000. So once the samples
-drawn are many enough, the marks of all edges are made at once, and a sample costs three reads from a table that
-stays in the cache. The first edge drops most samples, so edges are tested one by one on what is left.
+There are as many edges among 180 correspondences as in 10,000 samples, and a run draws 600,000. So once enough samples
+are drawn, the marks of all edges are computed at once, and a sample costs three reads from a table that stays in the
+cache. The first edge drops most samples, so edges are tested one by one on the samples left.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ROUNDINGS = 1024  # far above the rounding of a length, of a solve and of a res
 _WIDER = 1.02  # likewise, of the threshold
 
 DISSIMILAR, SIMILAR, FITTING = 0, 1, 2
-"""Marks of an edge: what fits is also similar."""
+"""Marks of an edge; a fitting one is also similar."""
 
 
 class Edges:

@@ -1,4 +1,4 @@
-"""Minimal samples: drawn the same for a pair wherever it stands, and their rigid transforms in closed form.
+"""Minimal samples: drawn the same for a pair in any batch, and their rigid transforms in closed form.
 
 Three points lie in a plane, and the best rotation takes plane to plane: it aligns the normals of the two
 triangles, and within the plane it is the two-dimensional least-squares rotation about the centroid. That is
@@ -19,7 +19,7 @@ FIRST_ROUND = 1 << 12
 """Hypotheses drawn at first, so that easy pairs stop soon; every round draws twice as many as the one before."""
 
 LARGEST_ROUND = 1 << 15
-"""Until so many; constants, since the stream of draws depends on them."""
+"""Hypotheses drawn in a round at most; constants, since the stream of draws depends on them."""
 
 _MIN_SINE = 0.05  # of the angle at the first point: about 3 degrees
 
