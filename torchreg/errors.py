@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from numbers import Integral, Real
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ class CloudFileError(ValueError):
 
 
 def expect(condition: bool, name: str, expected: str, received: object) -> None:
-    """Raise ``ValueError`` with the argument's name, what was expected and what came, unless ``condition``."""
+    """Raise ``ValueError`` with the argument's name, the expected and the received value, unless ``condition``."""
     if not condition:
         raise ValueError(f"{name}: expected {expected}, got {describe(received)}")
 
@@ -26,8 +27,17 @@ def describe(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def expect_shape(value: Tensor, name: str, shape: tuple[int | str, ...]) -> None:
-    """Check the type and shape of a tensor; a string in ``shape`` names a free dimension."""
+def expect_shape(
+    value: Tensor,
+    name: str,
+    shape: tuple[int | str, ...],
+    dtype: torch.dtype | Literal["floating"] | None = None,
+    device: torch.device | None = None,
+) -> None:
+    """Check the type and shape of a tensor, and its dtype and device where these are given.
+
+    A string in ``shape`` names a free dimension; the dtype ``"floating"`` is any of real floating-point numbers.
+    """
     expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
     if not isinstance(value, Tensor):
         raise ValueError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
@@ -36,6 +46,12 @@ def expect_shape(value: Tensor, name: str, shape: tuple[int | str, ...]) -> None
     )
     if not fits:
         raise ValueError(f"{name}: expected {expected}, got {tuple(value.shape)}")
+    if dtype == "floating":
+        expect_floating(value, name)
+    elif dtype is not None:
+        expect_dtype(value, name, dtype)
+    if device is not None:
+        expect_device(value, name, device)
 
 
 def expect_floating(value: Tensor, name: str) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchreg.descriptors.soft.arguments import expect_finite
 from torchreg.descriptors.soft.votes import bin_shares
-from torchreg.errors import expect, expect_floating, expect_shape, fraction, one_of
+from torchreg.errors import expect, expect_shape, fraction, one_of
 from torchreg.types import Clouds
 from torchreg.types.packing import checked_offsets, spans
 
@@ -39,15 +39,10 @@ def hsv(colors: Tensor) -> Tensor:
 
 
 def equalize(hue: Tensor, offsets: Tensor) -> Tensor:
-    """Histogram-equalize hues, every packed cloud by itself.
+    """Histogram-equalize hues (P,) in [0, 1], every packed cloud by itself.
 
-    Args:
-        hue: (P,) in [0, 1].
-        offsets: (B+1,) int64.
-
-    Returns:
-        (P,) in [0, 1]: the least occupied level maps to 0, the last to 1; a cloud of one level maps to 0. The
-        map depends on counts alone. No gradients.
+    The least occupied level maps to 0, the last to 1; a cloud of one level maps to 0. The map depends on counts alone.
+    No gradients.
     """
     parts = [_equalize_one(hue[begin:end]) for begin, end in spans(offsets)]
     return torch.cat(parts) if parts else hue
@@ -81,8 +76,7 @@ def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tenso
     Raises:
         ValueError: shapes that do not fit, or hues or a bandwidth out of their range.
     """
-    expect_shape(hue, "hue", ("P",))
-    expect_floating(hue, "hue")
+    expect_shape(hue, "hue", ("P",), "floating")
     fraction(bandwidth, "bandwidth")
     expect_finite(hue, "hue", unit=True)
     parts = [_soft_equalize_one(hue[begin:end], bandwidth) for begin, end in spans(checked_offsets(offsets, len(hue)))]
@@ -101,14 +95,10 @@ def _soft_equalize_one(hue: Tensor, bandwidth: float) -> Tensor:
 
 
 def color_values(clouds: Clouds, equalization: str = "cloud") -> Tensor:
-    """Hue, saturation and value (P, 3) of packed clouds, hue equalized per cloud or not.
+    """Hue, saturation and value (P, 3) of packed clouds, hue equalized per ``"cloud"`` or not (``"none"``).
 
-    Args:
-        clouds: with colors.
-        equalization: ``"none"`` or ``"cloud"``; for ``"joint"`` over pairs see ``joint_color_values``.
-
-    Raises:
-        ValueError: no colors, or another name.
+    For joint equalization over pairs see ``joint_color_values``. Raises ``ValueError`` without colors, or for another
+    name.
     """
     one_of(equalization, "equalization", ("none", "cloud"))
     values = hsv(colors_of(clouds))
@@ -118,17 +108,9 @@ def color_values(clouds: Clouds, equalization: str = "cloud") -> Tensor:
 
 
 def joint_color_values(source: Clouds, target: Clouds) -> tuple[Tensor, Tensor]:
-    """Hue, saturation and value of both clouds of every pair, hue equalized by one map for the two.
+    """Hue, saturation and value (P, 3) of both clouds of every pair, hue equalized by one map for the two.
 
-    Args:
-        source: B clouds with colors.
-        target: B clouds with colors.
-
-    Returns:
-        (P_source, 3) and (P_target, 3).
-
-    Raises:
-        ValueError: no colors, or different numbers of clouds.
+    Raises ``ValueError`` without colors, or for different numbers of clouds.
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     of_source, of_target = hsv(colors_of(source)), hsv(colors_of(target))

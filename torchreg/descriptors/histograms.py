@@ -15,15 +15,9 @@ from torchreg.types import Neighborhoods
 
 
 def count_votes(bins: Tensor, votes: Tensor, size: int) -> Tensor:
-    """Count votes per row and bin.
+    """Sum votes (R, K), integers (exact) or floats, per row and bin: (R, size).
 
-    Args:
-        bins: (R, K) int64 in [0, size).
-        votes: (R, K) integers (exact) or floats, zero in slots that do not vote.
-        size: number of bins.
-
-    Returns:
-        (R, size) of the dtype of ``votes``.
+    ``bins`` (R, K) int64 are in [0, size).
     """
     return votes.new_zeros(bins.shape[0], size).scatter_add_(1, bins, votes)
 
@@ -40,15 +34,10 @@ def inverse_square_weights(sq_distance: Tensor, counted: Tensor) -> Tensor:
 
 
 def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
-    """Sum the rows of a table over every neighborhood, with weights.
+    """Sum the histograms of neighbors: (R, D) with sum_k weights[r, k] table[index[r, k]].
 
-    Args:
-        table: (P, D), one histogram per point.
-        index: (R, K) int64 rows of ``table``.
-        weights: (R, K) of the dtype of ``table``.
-
-    Returns:
-        (R, D) with sum_k weights[r, k] table[index[r, k]]. Gradients flow to ``table`` and ``weights``.
+    ``table`` is (P, D), ``index`` and ``weights`` are (R, K), the latter of the dtype of ``table``. Gradients flow to
+    table and weights.
     """
     if table.dtype == torch.float32 or index.numel() == 0:
         return embedding_bag(index, table, per_sample_weights=weights, mode="sum")
@@ -62,11 +51,7 @@ def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
 def add_weighted_neighbors(histograms: Tensor, near: Neighborhoods, bins: int, *, keep_own: bool = True) -> Tensor:
     """Eq. (2) and (4): the neighbors' histograms by inverse squared distance, scaled to 100 each, plus a point's own.
 
-    Args:
-        histograms: (P, blocks x bins) in percent.
-        near: P neighborhoods.
-        bins: of one histogram.
-        keep_own: whether a point's own histograms are added.
+    ``histograms`` (P, blocks x bins) are in percent; without ``keep_own`` those of the neighbors alone are returned.
     """
     out = torch.empty_like(histograms)
     for rows in row_chunks(len(histograms), near.max_neighbors):

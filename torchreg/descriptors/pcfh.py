@@ -24,7 +24,7 @@ from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, counted_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
-from torchreg.errors import at_least, expect, expect_floating, expect_shape, one_of
+from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Clouds, Features, Neighborhoods
@@ -94,8 +94,7 @@ def pcfh(
             if binning == "hard"
             else _soft_color_values(cloud, equalization, bandwidth)
         )
-    expect_shape(values, "values", (len(cloud.points), 3))
-    expect_floating(values, "values")
+    expect_shape(values, "values", (len(cloud.points), 3), "floating")
     expect_finite(values, "values")
     if binning == "hard":
         reads = near.index.device.type == "cpu" and not torch.compiler.is_compiling()

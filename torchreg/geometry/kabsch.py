@@ -80,16 +80,12 @@ def from_moments(source_mean: Tensor, target_mean: Tensor, covariance: Tensor) -
 
 
 def with_gradient(rotation: Tensor, covariance: Tensor, v: Tensor, singular: Tensor) -> Tensor:
-    """The same rotation, with its first and second derivatives with respect to the covariance.
+    """The same rotation (..., 3, 3), with its first and second derivatives with respect to the covariance.
 
-    Args:
-        rotation: (..., 3, 3), the one that maximizes tr(R H), without gradient.
-        covariance: H (..., 3, 3), with gradient.
-        v: (..., 3, 3) whose columns are the right singular vectors of H, without gradient.
-        singular: (..., 3) descending singular values, the last one negative in the reflection case.
-
-    Returns:
-        (..., 3, 3), equal to ``rotation`` to the last digit: the steps are taken relative to their own value.
+    The rotation maximizes tr(R H) for the covariance H (..., 3, 3), the only argument with gradient; the columns of
+    ``v`` are the right singular vectors of H, ``singular`` (..., 3) its singular values, descending, the last one
+    negative in the reflection case. The value is that of ``rotation`` to the last digit: the steps subtract their own
+    value.
     """
     inverse = _inverse_stiffness(v, singular)
     for _ in range(2):

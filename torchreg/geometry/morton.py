@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect_floating, expect_shape
+from torchreg.errors import expect_shape
 from torchreg.types.packing import checked_offsets, spans
 
 BITS = 21  # per axis: three times 21 bits fill an int64 without its sign
@@ -35,8 +35,7 @@ def morton_order(points: Tensor, offsets: Tensor) -> Tensor:
         >>> morton_order(points, torch.tensor([0, 3])).tolist()
         [0, 2, 1]
     """
-    expect_shape(points, "points", ("P", 3))
-    expect_floating(points, "points")
+    expect_shape(points, "points", ("P", 3), "floating")
     order = torch.empty(points.shape[0], dtype=torch.int64, device=points.device)
     for begin, end in spans(checked_offsets(offsets, points.shape[0])):
         if end > begin:

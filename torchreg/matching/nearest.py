@@ -70,16 +70,9 @@ def feature_nearest(query: Tensor, table: Tensor, count: int = 1) -> FeatureNear
 
 
 def settle_ties(query: Tensor, table: Tensor, count: int, bound: Tensor) -> tuple[Tensor, Tensor]:
-    """The nearest rows of ``table`` (M, D) for every ``query`` (N, D), and how far they are.
+    """The ``count`` nearest rows of ``table`` (M, D) for every ``query`` (N, D): rows (N, count) and distances float64.
 
-    Args:
-        query: (N, D).
-        table: (M, D).
-        count: how many of them.
-        bound: (N,) float64; at least ``count`` rows are no farther than this.
-
-    Returns:
-        (N, count) int64 and (N, count) float64, ascending by (distance, row).
+    At least ``count`` rows are no farther than ``bound`` (N,) float64. Ascending by (distance, row).
     """
     center = query.double().median(dim=0).values
     norm, outward = row_distance(query, center).sort()

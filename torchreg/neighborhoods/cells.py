@@ -133,18 +133,11 @@ def _nearest_in_cells(
 
 
 def k_smallest(values: Tensor, index: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Select the ``count`` smallest of every row and put them in order.
+    """The ``count`` smallest of every row of values (R, W), and their indexes, ascending by (value, index).
 
-    ``torch.topk`` leaves open which of equal values it takes, so it only finds the last value that is in;
-    a second selection then takes all below it and, of those equal to it, the smallest indexes.
-
-    Args:
-        values: (R, W), W >= count; infinite where there is no candidate.
-        index: (R, W) int64, 0 and above.
-        count: K.
-
-    Returns:
-        values and index, (R, K) each, ascending by (value, index).
+    Values are infinite where there is no candidate; indexes are 0 and above. ``torch.topk`` leaves open which of equal
+    values it takes, so it only finds the last value that is in; a second selection then takes all below it and, of
+    those equal to it, the smallest indexes.
     """
     last = values.topk(count, dim=1, largest=False).values[:, -1:]
     rank = index.where(values == last, torch.iinfo(torch.int64).max).masked_fill_(values < last, -1)
@@ -163,15 +156,10 @@ class Grid(NamedTuple):
 
 
 def make_grid(points: Tensor, cloud: Tensor, limits: Tensor) -> Grid:
-    """Sort points into cells a little wider than the search radius.
+    """Sort points (P, 3), P > 0, into cells a little wider than the search radius of their cloud.
 
-    Args:
-        points: (P, 3), P > 0.
-        cloud: (P,) int64, the cloud of every point, 0..B-1.
-        limits: (B,) squared radii.
-
-    Returns:
-        Grid. Its size does not depend on the extent of the clouds: only cells that hold points exist.
+    ``cloud`` (P,) int64 is the cloud of every point, ``limits`` (B,) the squared radii. The size of the grid does not
+    depend on the extent of the clouds: only cells that hold points exist.
     """
     cells = _cell_numbers(points, cloud, limits)
     y_bits = z_bits = (62 - len(limits).bit_length()) // 2

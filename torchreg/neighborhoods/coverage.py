@@ -27,12 +27,7 @@ class Coverage(NamedTuple):
 def coverage(source: Tensor, target: Tensor, rotation: Tensor, translation: Tensor, threshold: float) -> Coverage:
     """Coverage of ``source`` (P, 3) by ``target`` (Q, 3), both in meters and in frames without origins.
 
-    Args:
-        source: (P, 3).
-        target: (Q, 3).
-        rotation: (3, 3) float64.
-        translation: (3,) float64, meters.
-        threshold: meters; distances are strictly below it.
+    ``rotation`` (3, 3) and ``translation`` (3,) are float64; distances are strictly below ``threshold``, meters.
     """
     zero = torch.zeros((), dtype=torch.float64, device=source.device)
     if len(source) == 0 or len(target) == 0:

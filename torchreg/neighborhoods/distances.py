@@ -11,15 +11,10 @@ from torch import Tensor
 
 
 def squared_distances(axes: Tensor, rows: Tensor, candidates: Tensor) -> Tensor:
-    """The squared distance of every row's point to its candidates.
+    """The squared distances (R, K) of every row's point to its candidates.
 
-    Args:
-        axes: (3, P), each coordinate contiguous: gathering numbers is faster than gathering points.
-        rows: (R,) integers.
-        candidates: (R, K) integers.
-
-    Returns:
-        (R, K) in the dtype of ``axes``.
+    ``axes`` are (3, P), each coordinate contiguous: gathering numbers is faster than gathering points. ``rows`` (R,)
+    and ``candidates`` (R, K) are integers.
     """
     differences = [
         axis.index_select(0, candidates.reshape(-1)).view(candidates.shape) - axis.index_select(0, rows)[:, None]

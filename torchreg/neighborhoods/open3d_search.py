@@ -43,19 +43,7 @@ def uses_open3d(backend: str, device: torch.device) -> bool:
 def search_open3d(
     points: Tensor, spans: list[tuple[int, int]], limits: list[float], max_neighbors: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The K nearest with d^2 < ``limits[b]`` among the points of the same cloud.
-
-    Of points that tie for the last place the tree decides which stay.
-
-    Args:
-        points: (P, 3) float32 or float64 on the CPU.
-        spans: the (begin, end) rows of the B clouds.
-        limits: B squared radii in the precision of ``points``.
-        max_neighbors: K.
-
-    Returns:
-        index (P, K) int64, valid (P, K) bool and sq_distance (P, K), as ``Neighborhoods`` holds them.
-    """
+    """As ``search_cells``, on the CPU; of points that tie for the last place the tree decides which stay."""
     rows = points.shape[0]
     index = torch.empty(rows, max_neighbors, dtype=torch.int64)
     valid = torch.empty(rows, max_neighbors, dtype=torch.bool)

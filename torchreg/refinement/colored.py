@@ -64,16 +64,10 @@ def _intensity(cloud: Clouds) -> Tensor:
 
 
 def color_gradient(cloud: Clouds, normals: Tensor, intensity: Tensor, radius: Tensor) -> Tensor:
-    """The gradients (P, 3) float64 of intensity, per meter, on the tangent plane of every point.
+    """The gradients (P, 3) float64 of intensity, per meter, on the tangent plane of every point of B clouds.
 
-    Args:
-        cloud: B clouds, float64.
-        normals: (P, 3) float64, of unit length.
-        intensity: (P,) of its points.
-        radius: (B,) meters; neighbors are the 30 nearest within it, as in Open3D.
-
-    Returns:
-        Zeros where a point has fewer than 4 neighbors (itself counted) or all on one line with it.
+    Normals (P, 3) and intensity (P,) are float64; neighbors are the 30 nearest within ``radius`` (B,) meters, as in
+    Open3D. Zeros where a point has fewer than 4 neighbors (itself counted) or all on one line with it.
     """
     near = neighbors(cloud, radius, MAX_NEIGHBORS)
     points = cloud.points.t().contiguous()  # (3, P)

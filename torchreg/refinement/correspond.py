@@ -22,7 +22,7 @@ from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
 from torchreg.refinement.blocks import BLOCK, Blocks
 
 FEW = 4
-"""Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few points are searched again."""
+"""Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few searches are repeated."""
 
 Search = Callable[[Tensor], Tensor]
 """From queries (Q, 3) to the rows of their nearest, (Q, min(FEW, N)), ascending by distance."""

@@ -31,14 +31,11 @@ def products(rows: Tensor, weight: Tensor, onto: Tensor | None = None) -> Tensor
 
 
 def solve(sums: Tensor, center: Tensor) -> Update:
-    """The update of every pair.
+    """The update of every pair from its sums (B, 28) of ``products`` and the target's center (B, 3), meters; float64.
 
-    The system is solved about the target's center, where it is well conditioned. The motion is then made as
-    Open3D makes it, R = Rz Ry Rx of the three angles about the zero of the target's points, so that iterates agree.
-
-    Args:
-        sums: (B, 28) float64, of ``products``.
-        center: (B, 3) float64, meters, the target's center from that zero.
+    The system is solved about the target's center, where it is well conditioned. The motion is then made as Open3D
+    makes it, R = Rz Ry Rx of the three angles about the zero of the target's points, from which the center counts, so
+    that iterates agree.
     """
     finite = torch.isfinite(sums).all(dim=1)
     upper = sums.new_zeros(len(sums), 7, 7)

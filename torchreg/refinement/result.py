@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_dtype, expect_shape
+from torchreg.errors import expect, expect_shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,18 +34,12 @@ class IcpResult:
     reason: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4))
-        expect_dtype(self.T_target_source, "T_target_source", torch.float64)
+        expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4), torch.float64)
         pairs = len(self)
-        dtypes = {
-            "fitness": torch.float64,
-            "inlier_rmse": torch.float64,
-            "iterations": torch.int64,
-            "converged": torch.bool,
-        }
-        for name, dtype in dtypes.items():
-            expect_shape(getattr(self, name), name, (pairs,))
-            expect_dtype(getattr(self, name), name, dtype)
+        expect_shape(self.fitness, "fitness", (pairs,), torch.float64)
+        expect_shape(self.inlier_rmse, "inlier_rmse", (pairs,), torch.float64)
+        expect_shape(self.iterations, "iterations", (pairs,), torch.int64)
+        expect_shape(self.converged, "converged", (pairs,), torch.bool)
         expect(len(self.reason) == pairs, "reason", f"one text per pair ({pairs})", self.reason)
 
     def __len__(self) -> int:

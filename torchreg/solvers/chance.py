@@ -34,12 +34,8 @@ _SAMPLE = 2000
 def log10_false_alarms(source: Tensor, target: Tensor, threshold: float, *, sample_size: int, scored: float) -> float:
     """The expected number of hypotheses by chance that agree as well as this one, as a power of ten.
 
-    Args:
-        source: (M, 3) matched points under the transform, meters, float64.
-        target: (M, 3).
-        threshold: meters, of an inlier.
-        sample_size: correspondences of a minimal sample.
-        scored: hypotheses that were scored; no more count than there are samples.
+    ``source`` (M, 3), under the transform, and ``target`` (M, 3) are matched points, float64; no more of the ``scored``
+    hypotheses count than there are samples of ``sample_size``.
     """
     count = len(source)
     chance = chance_rate(source, target, threshold)

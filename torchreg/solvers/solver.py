@@ -92,8 +92,8 @@ class Hypotheses:
 class Solver:
     """How matches become poses. To add a solver is to write a subclass with a ``name`` and ``propose``.
 
-    Its hypotheses are scored on all matches of the pair, refitted to their inliers, thinned to distinct poses and tested
-    against chance by code that all solvers share.
+    Its hypotheses are scored on all matches of the pair, refitted to their inliers, thinned to distinct poses and
+    tested against chance by code that all solvers share.
 
     Attributes:
         name: of the solver, in options, tables and ``SOLVERS``.

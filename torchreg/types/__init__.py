@@ -1,4 +1,4 @@
-"""The named types that flow between the stages: they hold tensors and check them, they compute nothing."""
+"""The named types that the stages pass on: tensors with checks of their shapes, without computation."""
 
 from torchreg.types.candidate import Candidate, Proposal, StageCounts
 from torchreg.types.clouds import Clouds

@@ -1,4 +1,4 @@
-"""The poses that solvers proposed for one pair, and how much each stage of its run had."""
+"""The poses that were weighed for one pair, and the counts of each stage of its run."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from torch import Tensor
 
 
 class Candidate(NamedTuple):
-    """One pose that was weighed on the clouds. A figure that nothing was there to compute from is NaN.
+    """One pose that was weighed on the clouds. A figure without data to compute it from is NaN.
 
     Attributes:
-        origin: what proposed it, such as "fpfh + contrast, compatibility" or "slide" for a probe of the verdict.
+        origin: features and solver that proposed it, such as "fpfh + contrast, compatibility", or "slide" or "half
+            turn" for a probe of the verdict.
         T_target_source: (4, 4) float64, meters, origins included.
         support: matches that it brings within the inlier threshold, of the proposal whose agreement with it is the
             least likely by chance.
@@ -21,8 +22,8 @@ class Candidate(NamedTuple):
         closeness: mean over those partners of 1 - (distance / threshold)^2.
         normals: mean cosine between the normals of partners.
         colors: correlation of the colors of partners.
-        strength: in [0, 1], how evenly the surfaces of partners hold the pose; near 0 it slides.
-        conflict: of the points that stand at or before a surface that the other scanner saw, the share before it.
+        strength: in [0, 1], how evenly the surfaces of partners constrain the pose; near 0 it slides.
+        conflict: of the points at or before a surface that the other scanner saw, the share before it.
         log_odds: of being right against no candidate being right (natural logarithm).
         probability: of being right, among all candidates of the pair.
     """
@@ -65,7 +66,7 @@ class Proposal(NamedTuple):
 
 
 class StageCounts(NamedTuple):
-    """How much each stage of one pair had, (source, target) where there are two numbers.
+    """The counts of each stage of one pair, (source, target) where there are two numbers.
 
     Attributes:
         given: points of the clouds as given.

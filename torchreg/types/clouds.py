@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_device, expect_floating, expect_shape
+from torchreg.errors import expect, expect_shape
 from torchreg.types.packing import checked_offsets, offsets_of, spans
 
 
@@ -40,25 +40,19 @@ class Clouds:
     viewpoint: Tensor | None = None
 
     def __post_init__(self) -> None:
-        expect_shape(self.points, "points", ("P", 3))
-        expect_floating(self.points, "points")
+        expect_shape(self.points, "points", ("P", 3), "floating")
         rows, device = self.points.shape[0], self.points.device
         offsets = torch.tensor([0, rows]) if self.offsets is None else self.offsets
         object.__setattr__(self, "offsets", checked_offsets(offsets, rows))
         for name, value in (("colors", self.colors), ("normals", self.normals)):
             if value is not None:
-                expect_shape(value, name, (rows, 3))
+                expect_shape(value, name, (rows, 3), device=device)
                 expect(value.dtype == self.points.dtype, name, f"the dtype of points, {self.points.dtype}", value)
-                expect_device(value, name, device)
         if self.origin is None:
             object.__setattr__(self, "origin", torch.zeros(len(self), 3, dtype=torch.float64, device=device))
-        expect_shape(self.origin, "origin", (len(self), 3))
-        expect(self.origin.dtype == torch.float64, "origin", "float64", self.origin)
-        expect_device(self.origin, "origin", device)
+        expect_shape(self.origin, "origin", (len(self), 3), torch.float64, device)
         if self.viewpoint is not None:
-            expect_shape(self.viewpoint, "viewpoint", (len(self), 3))
-            expect_floating(self.viewpoint, "viewpoint")
-            expect_device(self.viewpoint, "viewpoint", device)
+            expect_shape(self.viewpoint, "viewpoint", (len(self), 3), "floating", device)
 
     def __len__(self) -> int:
         """The number of clouds, B."""
@@ -133,7 +127,6 @@ class Clouds:
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Clouds:
         """Copy to a device or change the dtype of points, colors, normals and viewpoint (``origin`` stays float64)."""
-
         return self._mapped(lambda value: value.to(device=device, dtype=dtype), self.origin.to(device=device))
 
     def detach(self) -> Clouds:
@@ -142,7 +135,6 @@ class Clouds:
 
     def pin_memory(self) -> Clouds:
         """Copy into page-locked memory, for faster and asynchronous transfer to a GPU."""
-
         return self._mapped(Tensor.pin_memory, self.origin.pin_memory())
 
     def _mapped(self, change: Callable[[Tensor], Tensor], origin: Tensor) -> Clouds:

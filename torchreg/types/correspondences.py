@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_device, expect_dtype, expect_floating, expect_shape
+from torchreg.errors import expect, expect_shape
 from torchreg.types.packing import checked_offsets, spans
 
 
@@ -28,15 +28,10 @@ class Correspondences:
     score: Tensor
 
     def __post_init__(self) -> None:
-        expect_shape(self.source, "source", ("M",))
-        expect_dtype(self.source, "source", torch.int64)
+        expect_shape(self.source, "source", ("M",), torch.int64)
         count, device = self.source.shape[0], self.source.device
-        expect_shape(self.target, "target", (count,))
-        expect_dtype(self.target, "target", torch.int64)
-        expect_shape(self.score, "score", (count,))
-        expect_floating(self.score, "score")
-        expect_device(self.target, "target", device)
-        expect_device(self.score, "score", device)
+        expect_shape(self.target, "target", (count,), torch.int64, device)
+        expect_shape(self.score, "score", (count,), "floating", device)
         object.__setattr__(self, "offsets", checked_offsets(self.offsets, count))
 
     def __len__(self) -> int:
@@ -68,10 +63,8 @@ class SoftCorrespondences:
             object.__setattr__(self, name, checked_offsets(offsets, int(offsets[-1]), name))
         rows, columns = spans(self.source_offsets), spans(self.target_offsets)
         for matrix, (i, j), (k, m) in zip(self.confidence, rows, columns, strict=True):
-            expect_shape(matrix, "confidence", (j - i, m - k))
-            expect_floating(matrix, "confidence")
+            expect_shape(matrix, "confidence", (j - i, m - k), "floating", self.confidence[0].device)
             expect(matrix.dtype == self.confidence[0].dtype, "confidence", "matrices of one dtype", matrix)
-            expect_device(matrix, "confidence", self.confidence[0].device)
 
     def __len__(self) -> int:
         """The number of pairs, B."""

@@ -25,7 +25,7 @@ KINDS = (
     "colors disagree",
     "free-space conflict",
 )
-"""What a failure can be, in the order of the stages that detect it."""
+"""The kinds of failure, in the order of the stages that detect them."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Failure:
     """Why one pair did not succeed.
 
     Attributes:
-        kind: one of ``KINDS``, for programs: what to do next follows from it.
+        kind: one of ``KINDS``, for programs to act on.
         text: for people, the kind and the figures in one sentence.
         figures: the numbers that decided it by name, such as ``{"matches": 2, "needed": 3}``; lengths in meters.
 

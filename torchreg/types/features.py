@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_device, expect_dtype, expect_floating, expect_shape
+from torchreg.errors import expect, expect_shape
 from torchreg.types.packing import checked_offsets
 
 
@@ -28,14 +28,11 @@ class Features:
     valid: Tensor
 
     def __post_init__(self) -> None:
-        expect_shape(self.values, "values", ("P", "D"))
-        expect_floating(self.values, "values")
+        expect_shape(self.values, "values", ("P", "D"), "floating")
         rows, width = self.values.shape
         object.__setattr__(self, "offsets", checked_offsets(self.offsets, rows))
         expect(sum(size for _, size in self.blocks) == width, "blocks", f"widths that sum to {width}", self.blocks)
-        expect_shape(self.valid, "valid", (rows,))
-        expect_dtype(self.valid, "valid", torch.bool)
-        expect_device(self.valid, "valid", self.values.device)
+        expect_shape(self.valid, "valid", (rows,), torch.bool, self.values.device)
 
     def __len__(self) -> int:
         """The number of clouds, B."""

@@ -1,7 +1,7 @@
 """Options in meters: fields marked as lengths, so that all lengths of a record change together.
 
-A record marks its lengths where it declares them (``radius: float = length()``), and whatever scales options or
-compares them without their lengths follows from that mark: no list of names has to be kept beside it.
+A record marks its lengths where it declares them (``radius: float = length()``); scaling options, and comparing them
+without their lengths, follow from that mark.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def scaled(options: Options, factor: float) -> Options:
 
 
 def without_lengths(options: Options) -> Options:
-    """The record with every length at one meter (``None`` where that is its default): what is left when scale is not.
+    """The record with every length at one meter (``None`` where that is its default).
 
-    Two records are equal then exactly where they differ in lengths alone.
+    Two records become equal exactly where they differ in lengths alone.
     """
     return _with_lengths(
         options, lambda _, default: None if default is None else 1.0, lambda record: without_lengths(record)

@@ -7,21 +7,20 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import at_least, expect, expect_device, expect_dtype, expect_floating, expect_shape, positive
+from torchreg.errors import at_least, expect, expect_shape, positive
 
 
 @dataclass(frozen=True, eq=False)
 class Neighborhoods:
     """Up to ``K`` neighbors of every point, ascending by (squared distance, index).
 
-    The query point counts as its own neighbor, as in Open3D; consumers mask it out by its index, never by
-    its place, since a duplicate of the point may come first.
+    The query point counts as its own neighbor, as in Open3D; consumers mask it out by its index, never by its place,
+    since a duplicate of the point may come first.
 
     Attributes:
         index: (P, K) int64, global rows of the packed batch, legal to gather also where ``valid`` is false.
         valid: (P, K) bool; true slots come first.
-        sq_distance: (P, K) squared meters, finite also where ``valid`` is false. What stands in such slots
-            means nothing; consumers mask it.
+        sq_distance: (P, K) squared meters, finite also where ``valid`` is false; consumers mask such slots.
         radius: meters, the support radius: every neighbor is nearer. A number, or one per point (P,) where they
             differ; ``None`` where it is not known.
     """
@@ -32,15 +31,10 @@ class Neighborhoods:
     radius: float | Tensor | None = None
 
     def __post_init__(self) -> None:
-        expect_shape(self.index, "index", ("P", "K"))
-        expect_dtype(self.index, "index", torch.int64)
-        rows, width = self.index.shape
-        expect_shape(self.valid, "valid", (rows, width))
-        expect_dtype(self.valid, "valid", torch.bool)
-        expect_shape(self.sq_distance, "sq_distance", (rows, width))
-        expect_floating(self.sq_distance, "sq_distance")
-        expect_device(self.valid, "valid", self.index.device)
-        expect_device(self.sq_distance, "sq_distance", self.index.device)
+        expect_shape(self.index, "index", ("P", "K"), torch.int64)
+        shape, device = tuple(self.index.shape), self.index.device
+        expect_shape(self.valid, "valid", shape, torch.bool, device)
+        expect_shape(self.sq_distance, "sq_distance", shape, "floating", device)
         if self.radius is not None:
             object.__setattr__(self, "radius", self._checked_radius(self.radius))
 
@@ -58,10 +52,10 @@ class Neighborhoods:
         return self.valid.sum(dim=1)
 
     def restrict(self, radius: float | Tensor | None = None, max_neighbors: int | None = None) -> Neighborhoods:
-        """A smaller neighborhood without a new search: what a hybrid search with these numbers returns.
+        """The smaller neighborhoods that a hybrid search with these numbers returns, without a new search.
 
-        That holds as long as the wider search had room: a row whose ``K`` slots are all taken by points
-        nearer than ``radius`` stays cut off at ``K``.
+        They are the same where the wider search had room: a row whose ``K`` slots are all taken by points nearer than
+        ``radius`` stays cut off at ``K``.
 
         Args:
             radius: meters, a number or one per point (P,); neighbors with d^2 < radius^2 stay. The smaller of

@@ -8,16 +8,15 @@ from itertools import accumulate, pairwise
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_dtype, expect_shape
+from torchreg.errors import expect, expect_shape
 
 
 def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor:
     """Return ``offsets`` on the CPU after checking that they are int64, start at 0, ascend and end at ``rows``.
 
-    Offsets steer Python loops over clouds, so they live on the CPU whatever the device of the rows.
+    Python loops over clouds read them, so they are on the CPU whatever the device of the rows.
     """
-    expect_shape(offsets, name, ("B+1",))
-    expect_dtype(offsets, name, torch.int64)
+    expect_shape(offsets, name, ("B+1",), torch.int64)
     if torch.compiler.is_compiling():  # where values are not known
         return offsets
     offsets = offsets.cpu()

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_dtype, expect_shape
+from torchreg.errors import expect, expect_shape
 from torchreg.types.candidate import Candidate, StageCounts
 from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences
@@ -31,6 +31,8 @@ class HypothesisCounts(NamedTuple):
 
 
 _PER_PAIR: dict[str, tuple[int, ...]] = {
+    "fitness": (),
+    "inlier_rmse": (),
     "probability": (),
     "overlap": (),
     "information": (6, 6),
@@ -38,6 +40,7 @@ _PER_PAIR: dict[str, tuple[int, ...]] = {
     "runner_up": (4, 4),
     "margin": (),
 }
+"""The size of fields that are float64 numbers of every pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +60,7 @@ class RegistrationResult:
         source: B clouds, those that were matched: as a solver got them, in ``register`` the thinned clouds with
             their normals.
         target: B clouds, likewise.
-        correspondences: the matches that ``inliers`` speaks of; their rows are those of ``source`` and ``target``.
+        correspondences: the matches to which ``inliers`` belongs; their rows are those of ``source`` and ``target``.
         options: the ``RegistrationOptions`` of every pair, derived numbers included; empty when made by a solver alone.
         notes: what a user should know of a pair, such as that it had no colors.
         seconds: time of every stage, by name, in order; empty when made by ``ransac``.
@@ -74,7 +77,7 @@ class RegistrationResult:
         runner_up: (B, 4, 4) float64, the best distinct other pose; NaN where there is none.
         margin: (B,) float64, log-odds of the pose less those of the runner-up; infinite where there is none.
         candidates: of every pair, the poses that were weighed, best first.
-        stages: of every pair, what each stage had.
+        stages: of every pair, counts of each stage.
     """
 
     T_target_source: Tensor
@@ -100,19 +103,13 @@ class RegistrationResult:
     stages: tuple[StageCounts, ...] = ()
 
     explainer: ClassVar[Callable[[RegistrationResult, int], str]]
-    """What ``explain`` calls. Types hold no words for people: ``torchreg`` puts those of its report here."""
+    """Writes the text of ``explain``; set by ``torchreg``, since its report stands above the types."""
 
     def __post_init__(self) -> None:
-        expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4))
-        expect_dtype(self.T_target_source, "T_target_source", torch.float64)
+        expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4), torch.float64)
         pairs = self.T_target_source.shape[0]
-        expect_shape(self.inliers, "inliers", (self.correspondences.source.shape[0],))
-        expect_dtype(self.inliers, "inliers", torch.bool)
-        for name in ("fitness", "inlier_rmse"):
-            expect_shape(getattr(self, name), name, (pairs,))
-            expect_dtype(getattr(self, name), name, torch.float64)
-        expect_shape(self.success, "success", (pairs,))
-        expect_dtype(self.success, "success", torch.bool)
+        expect_shape(self.inliers, "inliers", (self.correspondences.source.shape[0],), torch.bool)
+        expect_shape(self.success, "success", (pairs,), torch.bool)
         expect(len(self.failure) == pairs, "failure", f"one or None per pair ({pairs})", self.failure)
         for name in ("source", "target"):
             expect(len(getattr(self, name)) == pairs, name, f"one cloud per pair ({pairs})", len(getattr(self, name)))
@@ -121,8 +118,7 @@ class RegistrationResult:
         for name, size in _PER_PAIR.items():
             value = getattr(self, name)
             if value is not None:
-                expect_shape(value, name, (pairs, *size))
-                expect_dtype(value, name, torch.float64)
+                expect_shape(value, name, (pairs, *size), torch.float64)
         for name in ("options", "notes", "candidates", "stages"):
             count = len(getattr(self, name))
             expect(count in (0, pairs), name, f"none or one item per pair ({pairs})", count)
@@ -133,11 +129,11 @@ class RegistrationResult:
 
     @property
     def reason(self) -> tuple[str, ...]:
-        """Why a pair did not succeed, in words; empty where it did."""
+        """The text of each pair's ``failure``; empty where it succeeded."""
         return tuple("" if failure is None else failure.text for failure in self.failure)
 
     def explain(self, pair: int = 0) -> str:
-        """Put in words how much each stage of one pair had and lost, and what is most likely to help.
+        """Explain in words how much each stage of one pair had and lost, and the remedy most likely to help.
 
         Raises:
             ValueError: ``pair`` is not one of the result's.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_dtype, expect_shape
+from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
 
 
@@ -157,5 +157,4 @@ def _check_matrices(T_target_source: Tensor, information: Tensor | None, *batch:
     if information is not None:
         matrices.append((information, "information", 6))
     for matrix, name, size in matrices:
-        expect_shape(matrix, name, (*batch, size, size))
-        expect_dtype(matrix, name, torch.float64)
+        expect_shape(matrix, name, (*batch, size, size), torch.float64)

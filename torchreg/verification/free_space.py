@@ -82,13 +82,9 @@ def side_by_side(images: Sequence[RangeImage]) -> RangeImages:
 
 
 def visibility(images: RangeImages, which: Tensor, points: Tensor, margin: Tensor) -> Visibility:
-    """Where points lie relative to the surfaces in range images.
+    """Where points (3, R, N), meters, lie relative to the surfaces in range images.
 
-    Args:
-        images: of G scanners.
-        which: (R,) int64, whose image each row is compared with.
-        points: (3, R, N), in the scanners' frames, meters.
-        margin: (R,) meters; points less than this before a surface count as on it.
+    ``which`` (R,) names the image of each row; points less than ``margin`` (R,) meters before a surface count as on it.
     """
     ray = points - images.viewpoint[:, which, None]
     distance = _length(ray)

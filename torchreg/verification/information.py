@@ -31,11 +31,8 @@ class WeakestMotion(NamedTuple):
 def information_matrices(points: Tensor, valid: Tensor) -> Tensor:
     """Open3D's information matrices (G, 6, 6) of the target points that have a partner, rotations first.
 
-    As ``open3d.pipelines.registration.get_information_matrix_from_point_clouds``.
-
-    Args:
-        points: (3, G, L) float64, meters, in the frame of the file.
-        valid: (G, L) bool, which of them are points.
+    As ``open3d.pipelines.registration.get_information_matrix_from_point_clouds``, of points (3, G, L) float64, meters,
+    in the frame of the file, where ``valid`` (G, L).
     """
     wide = torch.where(valid, points, 0.0)
     x, y, z = padded_row_sums(wide).unbind(0)

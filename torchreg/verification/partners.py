@@ -71,13 +71,7 @@ def partners(search: PartnerSearch, pair: Tensor, moved: Tensor, valid: Tensor) 
 
 
 def occupancy(points: Tensor, sizes: Sequence[int], threshold: Tensor) -> Occupancy:
-    """Mark the cells near the points of G scans, one after another, of at least one point each.
-
-    Args:
-        points: (3, P) float32, meters.
-        sizes: points of each scan.
-        threshold: (G,) meters.
-    """
+    """Mark the cells near the points (3, P) float32 of G scans, one after another, of at least one point each."""
     device = points.device
     parts = points.split(list(sizes), dim=1)
     low = torch.stack([part.amin(dim=1) for part in parts], dim=1)  # (3, G)

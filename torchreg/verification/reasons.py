@@ -48,14 +48,10 @@ def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
 def refusal(
     candidates: Candidates, probabilities: list[float], strength: float, points: Tensor, least: float
 ) -> Failure | None:
-    """Why the best candidate is refused; ``None`` where it is a success.
+    """Why the best of H candidates of one pair, best first, is refused; ``None`` where it is a success.
 
-    Args:
-        candidates: H of one pair, best first.
-        probabilities: H of them.
-        strength: of the best.
-        points: (P, 3) of the source, meters, to tell how far the runner-up is from the best.
-        least: probability of a success.
+    ``strength`` is that of the best, ``points`` (P, 3) are those of the source, from which the distance to the
+    runner-up follows, ``least`` is the probability of a success.
     """
     probability, odds = probabilities[0], candidates.odds
     if accepted(probability, odds, least):

@@ -41,13 +41,10 @@ class Scans(NamedTuple):
 
 
 def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshold: Tensor, sample: int) -> Scans:
-    """Prepare one side of G pairs.
+    """Prepare one side of G pairs, with ``sample`` points of each scan to weigh poses on.
 
-    Args:
-        clouds: one each; all have normals (colors), or none has.
-        spacings: meters, between the points of each.
-        threshold: (G,) float64, meters, of the pairs' inliers.
-        sample: points of each scan that poses are weighed on.
+    The clouds all have normals (colors), or none has; ``spacings``, of their points, and ``threshold`` (G,) are in
+    meters.
     """
     device = clouds[0].device
     sizes = [len(cloud.points) for cloud in clouds]

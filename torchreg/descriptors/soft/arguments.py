@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_floating, expect_shape, fraction, one_of
+from torchreg.errors import expect, expect_shape, fraction, one_of
 from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.types import Neighborhoods
 
@@ -38,8 +38,7 @@ def bin_edges(edges: Tensor | None, rows: int, bins: int, like: Tensor) -> Tenso
     """Edges (rows, bins + 1) in the dtype of ``like``; gradients flow on."""
     if edges is None:
         return None
-    expect_shape(edges, "edges", (rows, bins + 1))
-    expect_floating(edges, "edges")
+    expect_shape(edges, "edges", (rows, bins + 1), "floating")
     if not torch.compiler.is_compiling():
         ascending = bool((edges.detach()[:, 1:] > edges.detach()[:, :-1]).all())
         expect(ascending, "edges", "numbers that ascend in every row", edges)
@@ -52,8 +51,7 @@ def slot_weights(weights: Tensor | None, near: Neighborhoods, like: Tensor) -> T
     """Neighbor weights (P, K) in the dtype of ``like``; gradients flow on."""
     if weights is None:
         return None
-    expect_shape(weights, "neighbor_weights", (len(near), near.max_neighbors))
-    expect_floating(weights, "neighbor_weights")
+    expect_shape(weights, "neighbor_weights", (len(near), near.max_neighbors), "floating")
     if not torch.compiler.is_compiling():
         known = weights.detach().to(like)
         allowed = bool((torch.isfinite(known) & (known >= 0) | ~near.valid).all())

@@ -62,17 +62,10 @@ def _ratio(query: tuple[Tensor, ...], neighbor: tuple[Tensor, ...], votes: Tenso
 def add_neighbors(
     histograms: Tensor, near: Neighborhoods, weights: Tensor, blocks: int, *, keep_own: bool = True
 ) -> Tensor:
-    """Eq. (2) and (4): the neighbors' histograms, scaled to 100 a block, plus a point's own.
+    """Eq. (2) and (4) with gradients: the neighbors' histograms, scaled to 100 a block, plus a point's own.
 
-    Args:
-        histograms: (P, blocks x bins) in percent.
-        near: P neighborhoods.
-        weights: (P, K) from ``distance_weights``.
-        blocks: how many histograms a row holds.
-        keep_own: whether a point's own histogram is added.
-
-    Returns:
-        (P, blocks x bins). Gradients flow to ``histograms`` and ``weights``.
+    ``histograms`` (P, blocks x bins) are in percent, ``weights`` (P, K) those of ``distance_weights``; without
+    ``keep_own`` the histograms of the neighbors alone are returned. Gradients flow to histograms and weights.
     """
     rows = neighbor_sum(histograms, near.index, weights).view(len(histograms), blocks, -1)
     spread = scaled_to_100(rows).view(histograms.shape)

@@ -21,15 +21,10 @@ _PLACES = 1 << 12  # more than there are nodes; twice as many nodes' counts stay
 
 
 def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tensor]:
-    """The sets of all nodes.
+    """The sets of all nodes of a graph A (N, N) float32, N at most 4,095.
 
-    Args:
-        graph: A (N, N) float32, N at most 4,095.
-        wide: partners of a seed in its first set.
-        narrow: members, the seed counted, that are left of it.
-
-    Returns:
-        members (N, narrow') int64, the seed first, and weights (N, narrow') float64, zero for no member.
+    A seed has ``wide`` partners in its first set, of which ``narrow`` members are left, the seed counted. Returns
+    members (N, narrow') int64, the seed first, and weights (N, narrow') float64, zero for no member.
     """
     count = len(graph)
     shared = second_order(graph).fill_diagonal_(-1)  # no node is its own partner, not even for lack of others
@@ -48,16 +43,9 @@ def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tenso
 
 
 def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Weighted least squares of every set, sums in the order of the members.
+    """Weighted least squares of sets (S, K) of the points (3, N) float64, sums in the order of the members.
 
-    Args:
-        source: (3, N) float64, meters.
-        target: (3, N) float64.
-        members: (S, K).
-        weights: (S, K) float64.
-
-    Returns:
-        Rotations (3, 3, S), translations (3, S), and which sets (S,) fix the rotation: spread across a line.
+    Returns rotations (3, 3, S), translations (3, S), and which sets (S,) determine the rotation: spread across a line.
     """
     parts = [
         _fit(source, target, members[rows].t(), weights[rows].t().contiguous())

@@ -75,16 +75,10 @@ class Edges:
 
 
 def edge_marks(source: Tensor, target: Tensor, similarity: float, slack: float) -> Tensor:
-    """Judge edges.
+    """Judge edges (3, ...) by their lengths in both clouds: (...) uint8, ``DISSIMILAR``, ``SIMILAR`` or ``FITTING``.
 
-    Args:
-        source: (3, ...) differences of two points, meters.
-        target: (3, ...) differences of their partners.
-        similarity: in [0, 1], of the lengths of a similar edge.
-        slack: meters, by which the lengths of a fitting edge differ at most.
-
-    Returns:
-        (...) uint8: ``DISSIMILAR``, ``SIMILAR`` or ``FITTING``.
+    The shorter of two similar edges has ``similarity`` of the length of the other at least; fitting ones differ by
+    ``slack`` meters at most.
     """
     limit = similarity * similarity
     a, b = _square(source), _square(target)
