@@ -1,8 +1,8 @@
-"""What may be set for the registration of a pair, each setting declared once.
+"""The settings for the registration of a pair, each declared once.
 
 A field of ``PairSettings`` is an option of ``torchreg batch``, a column of its pairs file that changes it for one pair,
-and part of what its folder remembers; those of ``Settings`` are options of ``torchreg register`` too. Names, types,
-choices, bounds and help texts all follow from the field and its ``Setting``, so to add a setting is to add a field.
+and stored in its folder; those of ``Settings`` are options of ``torchreg register`` too. Names, types, choices, bounds
+and help texts all follow from the field and its ``Setting``, so to add a setting is to add a field.
 """
 
 from __future__ import annotations
@@ -32,25 +32,15 @@ _RANSAC = RansacOptions()
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What is known of a setting beside its name, type and default.
+    """The declaration of a setting beside its name, type and default."""
 
-    Attributes:
-        help: a sentence with its unit, and its default where that is ``None``.
-        panel: the heading that it stands under in help texts.
-        metavar: what stands for its value there; ``None`` shows the choices or the type.
-        choices: the names that it may have; empty for any value.
-        least: the least that a whole number may be.
-        change: returns the options with its value in place; ``None`` where it changes no ``RegistrationOptions``.
-        of_ransac: whether only RANSAC reads it.
-    """
-
-    help: str
-    panel: str
-    metavar: str | None = None
-    choices: tuple[str, ...] = ()
-    least: int | None = None
-    change: Change | None = None
-    of_ransac: bool = False
+    help: str  # a sentence with its unit, and its default where that is ``None``
+    panel: str  # its heading in help texts
+    metavar: str | None = None  # the name of its value there; ``None`` shows the choices or the type
+    choices: tuple[str, ...] = ()  # the values that it may have; empty for any
+    least: int | None = None  # the least value of a whole number
+    change: Change | None = None  # sets its value in options; ``None`` where it changes no ``RegistrationOptions``
+    of_ransac: bool = False  # whether only RANSAC reads it
 
 
 def setting(default: object, panel: str, text: str, **more: Any) -> Any:  # noqa: ANN401
@@ -75,8 +65,8 @@ class StageSettings:
     """How clouds are read, described and matched, and how RANSAC solves.
 
     Raises:
-        ValueError: a value that cannot be meant; the message names the setting or the field of
-            ``RegistrationOptions`` that it changes.
+        ValueError: a value out of its range; the message names the setting or the field of ``RegistrationOptions``
+            that it changes.
     """
 
     points: int | None = setting(
@@ -161,12 +151,12 @@ class StageSettings:
         self.over(PAPER)
 
     def _given(self) -> list[tuple[str, Any, Setting]]:
-        """Name, value and declaration of everything that is set."""
+        """Name, value and declaration of every setting that has a value."""
         values = ((name, getattr(self, name), known) for name, (_, known) in declared(type(self)).items())
         return [one for one in values if one[1] is not None and one[1] is not False]
 
     def over(self, options: RegistrationOptions) -> RegistrationOptions:
-        """The options with everything that is set in its place."""
+        """The options with the value of every setting that has one."""
         options = replace(options, solver=solver_by_name(self._solver(options), options.solver))
         for _, value, known in self._given():
             if known.change is not None:
@@ -181,14 +171,14 @@ class StageSettings:
         return asdict(self)
 
     def with_columns(self: _Settings, columns: Mapping[str, str], where: str) -> _Settings:
-        """The settings with the cells of one row of a pairs file in their place; other columns are left alone.
+        """The settings with the values of one row of a pairs file; columns of other names are ignored.
 
         Args:
             columns: cells that are not empty, by name.
             where: names the row in messages.
 
         Raises:
-            ValueError: a cell that is no value of its setting, or a column whose name is nearly that of one.
+            ValueError: a cell that is no value of its setting, or a column whose name is nearly that of a setting.
         """
         known = declared(type(self))
         changes: dict[str, Any] = {}
@@ -206,10 +196,10 @@ class StageSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(StageSettings):
-    """All that ``torchreg register`` takes for a pair.
+    """The settings of ``torchreg register`` for a pair.
 
     Raises:
-        ValueError: a value that cannot be meant, or one that only RANSAC reads beside another solver.
+        ValueError: a value out of its range, or one that only RANSAC reads beside another solver.
     """
 
     effort: str | None = setting(
@@ -240,7 +230,7 @@ class Settings(StageSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class PairSettings(Settings):
-    """All that ``torchreg batch`` takes for its pairs. A column of the pairs file changes a setting for its pair."""
+    """The settings of ``torchreg batch`` for its pairs. A column of the pairs file changes a setting for its pair."""
 
     scale: str = setting(
         "shared",
@@ -252,7 +242,7 @@ class PairSettings(Settings):
 
 
 class Declared(NamedTuple):
-    """The type of a setting without ``None``, and the rest that is known of it."""
+    """The type of a setting without ``None``, and its declaration."""
 
     kind: type
     setting: Setting
@@ -263,7 +253,7 @@ def declared(group: type) -> dict[str, Declared]:
     return _declared(group)
 
 
-@cache
+@cache  # whose type takes no dataclass
 def _declared(group: type) -> dict[str, Declared]:
     hints = get_type_hints(group)
     known = {}
@@ -275,11 +265,7 @@ def _declared(group: type) -> dict[str, Declared]:
 
 
 def _value(kind: type, text: str, where: str) -> Any:  # noqa: ANN401
-    """The value that a cell spells.
-
-    Raises:
-        ValueError: it spells none of this type.
-    """
+    """The value of this type in the text of a cell; ``ValueError`` where there is none."""
     words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}[kind]
     try:
         return _SWITCH[text.lower()] if kind is bool else kind(text)

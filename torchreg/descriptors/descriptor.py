@@ -1,7 +1,7 @@
 """A descriptor as a record: what it needs of a cloud, and the function that describes one.
 
-To add a descriptor is to write such a record. Everything that ``register`` knows of descriptors follows from it: how
-far neighbors are searched, which clouds share a description, what is left where clouds have no colors.
+To add a descriptor is to write such a record. Everything that ``register`` needs follows from it: how far neighbors
+are searched, which clouds share a description, which descriptors are left where clouds have no colors.
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ class Descriptor(ABC):
     """The options of one descriptor, and how it describes a cloud. Subclasses are frozen dataclasses.
 
     Attributes:
-        radius: meters, the support radius: neighbors nearer than this are looked at.
+        radius: meters, the support radius: neighbors nearer than this are described.
         max_neighbors: the nearest so many of them, the point itself counted.
         name: of the block of its features, such as ``"fpfh"``; one per class.
-        needs_colors: whether clouds without colors have to do without this descriptor.
+        needs_colors: whether it is left out for clouds without colors.
         is_histogram: whether its entries are percents not below 0, which ``RegistrationOptions.root`` moves towards
             their square roots.
-        is_batched: whether ``describe`` reads nothing of the record that differs between the clouds of one batch:
-            ``near.radius`` in place of ``self.radius``. Clouds of several scales are described in one call then;
-            else scale by scale.
+        is_batched: whether ``describe`` reads no length of the record: ``near.radius`` in place of ``self.radius``.
+            Clouds of several scales are then described in one call, else one by one.
 
     Raises:
         ValueError: a radius that is not above 0, or fewer than 2 neighbors.
@@ -62,7 +61,7 @@ class Descriptor(ABC):
 
     @property
     def is_pairwise(self) -> bool:
-        """Whether a cloud is described otherwise beside another partner: ``describe`` then gets both of a pair."""
+        """Whether a description depends on the other cloud of the pair: ``describe`` then gets both clouds."""
         return False
 
     def scaled(self: AnyDescriptor, factor: float) -> AnyDescriptor:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, counted_votes
+from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.pair_features import (
     ANGLE_BINS,
     Oriented,
@@ -75,8 +75,8 @@ def fpfh(
         pairs again, so memory stays that of one piece of rows.
 
     Raises:
-        ValueError: no normals, shapes that do not fit, a bandwidth or edges out of their range, or what soft binning
-            alone reads with another one.
+        ValueError: no normals, shapes that do not fit, a bandwidth or edges out of their range, or options of soft
+            binning with hard binning.
 
     Example:
         >>> import torch, torchreg as tr
@@ -139,7 +139,7 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
     out = points.new_empty(len(points), FPFH_SIZE)
     for rows in row_chunks(len(points), near.max_neighbors):
-        votes = counted_votes(near.index, near.valid, rows)
+        votes = neighbor_votes(near.index, near.valid, rows).to(torch.int32)
         index = near.index[rows]
         query = Oriented(*(column[rows, None] for column in columns))
         neighbor = Oriented(*(gather(column, index) for column in columns))

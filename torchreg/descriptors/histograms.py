@@ -68,8 +68,3 @@ def neighbor_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
     """(R, K) bool: the valid slots of these rows that hold another point than the query itself."""
     query = torch.arange(rows.start, rows.stop, device=index.device)[:, None]
     return valid[rows] & (index[rows] != query)
-
-
-def counted_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
-    """(R, K) int32: 1 where ``neighbor_votes`` is true, else 0."""
-    return neighbor_votes(index, valid, rows).to(torch.int32)

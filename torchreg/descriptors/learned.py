@@ -2,10 +2,9 @@
 
 PCFH has equal bins, counts every neighbor alike, and weighs as much as FPFH; histograms are compared as they are. Here
 the edges of the bins, the weight of each channel and of the whole block, the weight of every neighbor, and how far the
-entries of either block are moved towards their square roots (``fuse.rooted``) are learned. A neighbor's weight comes
-from a small network of what is known about the pair: how far it lies, both saturations, both values, and how much the
-normals agree. Before training it is the plain rule over hue, saturation and value, not equalized, with equal weights,
-half way to square roots.
+entries of either block are moved towards their square roots (``fuse.rooted``) are learned. A small network gives a
+neighbor's weight from its distance, both saturations, both values, and the cosine between the normals. Before training
+the block is the plain rule over hue, saturation and value, not equalized, with equal weights, half way to square roots.
 
 The network is written out in basic operations with x / (1 + |x|) for its curves: no matrix product whose sums depend on
 how rows are cut, no function that rounds differently in different lanes.

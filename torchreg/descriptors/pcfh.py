@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, counted_votes, neighbor_votes
+from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
 from torchreg.errors import at_least, expect, expect_shape, one_of
@@ -80,7 +80,7 @@ def pcfh(
 
     Raises:
         ValueError: no colors, an unknown channel, shapes that do not fit, a bandwidth or edges out of their range, or
-            what soft binning alone reads with another one.
+            options of soft binning with hard binning.
     """
     at_least(bins, "bins", 1)
     expect(len(channels) > 0, "channels", "at least one channel", channels)
@@ -120,14 +120,14 @@ def pcfh(
 
 @dataclass(frozen=True, kw_only=True)
 class Pcfh(Descriptor):
-    """``torchreg.pcfh``: histograms of color differences, the paper's unless told otherwise.
+    """``torchreg.pcfh``: histograms of color differences, by default those of the paper.
 
     Attributes:
         bins: of every channel's histogram.
         channels: which of ``"hue"``, ``"saturation"`` and ``"value"`` are compared.
         equalization: histogram equalization of hue: ``"none"``, per ``"cloud"``, or ``"joint"``, one map for both
             clouds of a pair.
-        saturation_weighting: votes on hue count by the saturation of both points, so that gray has no say.
+        saturation_weighting: votes on hue count by the saturation of both points, so that gray points do not count.
     """
 
     name: ClassVar[str] = "pcfh"
@@ -199,7 +199,7 @@ def _own_histograms(
     enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
     for rows in row_chunks(len(values), near.max_neighbors):
         index = near.index[rows]
-        ones = counted_votes(near.index, near.valid, rows)
+        ones = neighbor_votes(near.index, near.valid, rows).to(torch.int32)
         enough[rows] = ones.sum(dim=1) >= MIN_NEIGHBORS
         for place, channel in enumerate(channels):
             column = columns[channel]

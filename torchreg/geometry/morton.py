@@ -17,8 +17,8 @@ BITS = 21  # per axis: three times 21 bits fill an int64 without its sign
 def morton_order(points: Tensor, offsets: Tensor) -> Tensor:
     """Find the permutation that puts the points of every cloud in Morton order; clouds stay in their place.
 
-    Every cloud is scaled by the longest edge of its own bounding box, so its order does not depend on the
-    batch it is in. Points of equal code stay in the order they came in. No gradient flows.
+    Every cloud is scaled by the longest edge of its bounding box, so its order does not depend on the batch. Points of
+    equal code keep their order. No gradient flows.
 
     Args:
         points: (P, 3), any unit.

@@ -1,7 +1,7 @@
-"""Soft matching of features: confidences for all pairs of points, where ``match_mutual`` says yes or no.
+"""Soft matching of features: a confidence for every pair of points, where ``match_mutual`` decides.
 
-Features that lie close are alike, s_ij = -|f_i - g_j|^2 / temperature, so that the confident pairs of a dual softmax
-at a low temperature are the mutual nearest neighbors.
+The score of a pair is s_ij = -|f_i - g_j|^2 / temperature, so that the confident pairs of a dual softmax at a low
+temperature are the mutual nearest neighbors.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def soft_match(
     dustbin: float | Tensor | None = None,
     iterations: int = 50,
 ) -> SoftCorrespondences:
-    """Confidence that a pair of points is the same place, of all pairs, by features alone.
+    """The confidence of every pair of points that both are the same place, by features alone.
 
     Args:
         source: features of B clouds, finite where valid.

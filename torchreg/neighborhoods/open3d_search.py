@@ -93,7 +93,7 @@ def _ask(tree: Tree, points: Tensor, axes: Tensor, part: slice, limit: float, wi
     hidden = (limit / squares[:, -1]).clamp_min(1)
     within = (squares < limit).sum(dim=1) * hidden
     if within.mean() <= HYBRID_UP_TO * width:
-        # A little wider, since Open3D squares and compares in its own way; the caller cuts exactly.
+        # A little wider, since Open3D squares and compares with other roundings; the caller cuts exactly.
         return tree.nearest_within(points[part], limit**0.5 * (1 + 1e-5), width)
     return tree.nearest(points[part], width)
 

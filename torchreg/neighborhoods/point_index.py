@@ -1,4 +1,4 @@
-"""The nearest point of another set: found once by ``nearest``, many times by ``PointIndex``."""
+"""The nearest point of another set: by ``nearest`` for one search, by ``PointIndex`` for many in the same points."""
 
 from __future__ import annotations
 

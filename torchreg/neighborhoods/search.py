@@ -17,9 +17,8 @@ def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, back
     """Find the ``max_neighbors`` nearest points of the same cloud within ``radius`` (a hybrid search).
 
     The backends agree to the last bit, with one exception: where several points tie for the last place of
-    a row, ``"torch"`` keeps those of smaller index and ``"open3d"`` those that its tree visits first. All
-    duplicates of a point are its neighbors at distance zero, so a point with K or more of them may be
-    missing from its own row.
+    a row, ``"torch"`` keeps those of smaller index and ``"open3d"`` those that its tree visits first. All duplicates of
+    a point are its neighbors at distance zero, so a point with K or more of them may be missing from its row.
 
     Args:
         cloud: B clouds; points of different clouds are no neighbors.

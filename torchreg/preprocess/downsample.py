@@ -65,10 +65,10 @@ def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator |
     Args:
         cloud: B clouds.
         count: how many points stay; a cloud with fewer keeps them all.
-        generator: a CPU generator; ``None`` makes one with seed 0. Every cloud is drawn from a generator of
-            its own, seeded by one draw from this one, so its choice does not depend on its place in the batch.
-            Two clouds of the same size then keep the same rows: for a cloud and a moved copy of it, pass
-            generators of different seeds to two calls, or the two share every point.
+        generator: a CPU generator; ``None`` makes one with seed 0. One draw from it seeds the choice in every cloud,
+            which so does not depend on its place in the batch. Two clouds of the same size then keep the same rows:
+            for a cloud and a moved copy of it, pass generators of different seeds to two calls, or the two share
+            every point.
 
     Returns:
         Clouds in Z order.

@@ -29,13 +29,13 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
         near: the support of every point (the paper: 2 m, 30 nearest), the point itself counted.
         viewpoint: (3,) or (B, 3) meters in the frame of ``points``; ``None`` takes that of the clouds. Where
             it is not known, normals are turned to the mean point of the cloud: a rule that moves with the cloud,
-            though it cannot know which side was seen.
+            but may turn them away from the scanner.
 
     Returns:
         The clouds with ``normals`` set. With fewer than 3 points in its support, or points all in one place, a
         point faces the viewpoint. Computed in float64; the same bits in any batch, with and without gradients.
 
-        Gradients flow to the points where they ask for it, and to the viewpoint where a normal is its direction.
+        Gradients flow to points that require them, and to the viewpoint where a normal is its direction.
         They are those of the least eigenvector with the neighborhood and the sign held fixed, exact to second order
         where the least eigenvalue is single; directions that equal eigenvalues do not determine get none, so that
         coincident and collinear points have finite gradients. The backward pass recomputes chunks: memory stays

@@ -92,5 +92,5 @@ class IcpOptions:
 
     @property
     def steps(self) -> tuple[IcpLevel, ...]:
-        """The levels, or the one that stands for none."""
+        """The levels; without any, one of ``max_distance`` and ``iterations``."""
         return self.levels or (IcpLevel(max_distance=self.max_distance, iterations=self.iterations),)

@@ -1,8 +1,8 @@
 """Pairs of clouds, where a cloud may belong to several pairs, and frames of small numbers for them.
 
-A frame has its zero at the mean point of a cloud, the origin taken out. A transform between files, x_t = R x_s + t,
-becomes R, t' between these frames and comes back without the loss that coordinates of UTM size would bring to sums of
-products.
+A frame has its zero at the mean point of a cloud, without the origin. A transform between files, x_t = R x_s + t,
+becomes R, t' between these frames and is turned back at the end, since coordinates of UTM size would cost sums of
+products their digits.
 """
 
 from __future__ import annotations

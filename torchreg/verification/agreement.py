@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.solvers.chance import log10_binomial_tail
+from torchreg.verification.candidates import joined
 
 _REPAIRINGS = 16
 _MOST = 400.0  # powers of ten: beyond it nothing differs, and numbers stay finite
@@ -73,7 +74,7 @@ def agreement(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agree
         _weigh(cells, rotation[rows], translation[rows])
         for rows in row_chunks(len(rotation), len(cells.targets) * count, _ELEMENTS)
     ]
-    return Agreement(*(torch.cat(values) for values in zip(*parts, strict=True)))
+    return joined(parts)
 
 
 def _weigh(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agreement:

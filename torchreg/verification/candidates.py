@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -24,6 +24,9 @@ SLIDE, HALF_TURN = -1, -2
 
 _STEPS = (-16.0, -8.0, 8.0, 16.0)
 """Displacements along the weakest motion, in inlier thresholds: farther than poses that count as the same."""
+
+
+Record = TypeVar("Record", bound=Any)
 
 
 class Run(NamedTuple):
@@ -96,18 +99,13 @@ class PointMoments(NamedTuple):
     counts: Tensor  # (G,) float64, points
 
 
-def joined(parts: Sequence[Poses]) -> Poses:
-    """All poses of the parts, in order."""
-    return Poses(*(torch.cat(values) for values in zip(*parts, strict=True)))
-
-
-def joined_candidates(parts: Sequence[Candidates]) -> Candidates:
-    """All candidates of the parts, in order."""
-    return Candidates(
-        joined([part.poses for part in parts]),
-        Evidence(*(torch.cat(values) for values in zip(*(part.evidence for part in parts), strict=True))),
-        *(torch.cat(values) for values in zip(*(part[2:] for part in parts), strict=True)),
-    )
+def joined(parts: Sequence[Record]) -> Record:
+    """All rows of the parts, in order: named tuples of tensors, or of such tuples, joined field by field."""
+    fields = [
+        joined(values) if isinstance(values[0], tuple) else torch.cat(values) for values in zip(*parts, strict=True)
+    ]
+    record: Record = type(parts[0])(*fields)
+    return record
 
 
 def runs_of(pair: Tensor) -> list[Run]:

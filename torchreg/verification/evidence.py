@@ -15,6 +15,7 @@ from torch import Tensor
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather_columns
 from torchreg.geometry.numerics.sums import padded_length, padded_row_sums
+from torchreg.verification.candidates import joined
 from torchreg.verification.free_space import RangeImages, visibility
 from torchreg.verification.information import strengths
 from torchreg.verification.model import Evidence
@@ -67,7 +68,7 @@ def _one_way(
         _of_poses(source, target, pair[rows], rotation[rows].float(), translation[rows].float(), threshold)
         for rows in row_chunks(len(pair), source.valid.shape[1], _ELEMENTS)
     ]
-    return Evidence(*(torch.cat(values) for values in zip(*parts, strict=True)))
+    return joined(parts)
 
 
 def _of_poses(source: Scans, target: Scans, pair: Tensor, R: Tensor, t: Tensor, threshold: Tensor) -> Evidence:

@@ -25,7 +25,6 @@ from torchreg.verification.candidates import (
     frames,
     half_turns,
     joined,
-    joined_candidates,
     point_moments,
     runs_of,
     slides,
@@ -113,7 +112,7 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     icp = _Icp(pairs, work.iterations)
     candidates = _distinct(pairs, span, weigh(pairs, poses))
     foremost = candidates.take(_foremost(candidates, work.refined))
-    candidates = _distinct(pairs, span, joined_candidates([icp.refine(foremost), candidates]))
+    candidates = _distinct(pairs, span, joined([icp.refine(foremost), candidates]))
 
     best, shared, motion = best_held(candidates)
     probes = joined([slides(best.poses, motion, pairs.threshold), half_turns(best.poses, middle)])
@@ -121,7 +120,7 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     promising = (probed.odds > best.odds[probed.poses.pair] - _HOPELESS).nonzero()[:, 0]
     if len(promising) > 0:
         refined = icp.refine(probed.take(promising))
-        candidates = _distinct(pairs, span, joined_candidates([candidates, refined]))
+        candidates = _distinct(pairs, span, joined([candidates, refined]))
         _, shared, motion = best_held(candidates)
 
     in_file = shared.points.double() + target.origin.t()[..., None]
@@ -185,7 +184,7 @@ class _Icp:
         after = weigh(self._pairs, moved)
         rows = torch.arange(len(numbers), device=candidates.odds.device)
         better = after.odds > candidates.odds
-        return joined_candidates([candidates, after]).take(torch.where(better, rows + len(numbers), rows))
+        return joined([candidates, after]).take(torch.where(better, rows + len(numbers), rows))
 
 
 def _foremost(candidates: Candidates, count: int) -> Tensor:

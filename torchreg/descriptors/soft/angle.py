@@ -1,7 +1,7 @@
 """The angle of a direction, by operations that round alike in every lane.
 
-``torch.atan2`` computes the end of a range with another routine than its bulk, so its last bits depend on how rows
-are cut. Here the angle is halved until a short series holds: tan(a / 2) = tan(a) / (1 + sqrt(1 + tan(a)^2)).
+``torch.atan2`` computes the end of a range by another routine than the rest, so its last bits depend on how rows are
+cut. Here the angle is halved until a short series holds: tan(a / 2) = tan(a) / (1 + sqrt(1 + tan(a)^2)).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Rows in pieces that stay in the cache, and the order-independent sums of packed rows.
+"""Rows in pieces that stay in the cache, and sums of packed rows in a fixed order.
 
-A result must not depend on how the work is cut. So kernels in this package use the basic operations
-(+ - * / sqrt, comparisons), which round the same in every lane of a vector unit of one machine; ``atan2`` and its
-like do not: PyTorch computes the end of a range with another routine than its bulk.
+A result must not depend on how the work is cut. So kernels in this package use the basic operations (+ - * / sqrt,
+comparisons), which round the same in every lane of a vector unit of one machine. ``atan2`` and other functions do not:
+PyTorch computes the end of a range by another routine than the rest.
 """
 
 from __future__ import annotations

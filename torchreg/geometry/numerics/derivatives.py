@@ -1,4 +1,4 @@
-"""Whether a derivative may be wanted, so that work which only serves it is left out where it is not."""
+"""Whether a derivative may be wanted; where it is not, the work that serves derivatives alone is left out."""
 
 from __future__ import annotations
 

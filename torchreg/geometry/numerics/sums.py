@@ -1,13 +1,13 @@
-"""Sums of float64 rows with the bits of ``stable_sum``, whatever stands beside a row.
+"""Sums of float64 rows with the bits of ``stable_sum``, which do not depend on the other rows.
 
-``stable_sum`` adds blocks of 1,024 entries each for itself, then one block after another. Zeros behind the last entry
-change nothing, and neither do blocks of zeros: rows of different lengths may stand beside each other, filled up with
-zeros. Short rows need no whole block: multiples of 64 are added in the same order, whatever the width of the
-processor's vectors (of 2 to 8 numbers, four at once).
+``stable_sum`` adds the entries of each block of 1,024, then one block after another. Zeros behind the last entry change
+nothing, and neither do blocks of zeros: rows of different lengths may stand side by side, filled up with zeros. Short
+rows need no whole block: multiples of 64 are added in the same order, whatever the width of the processor's vectors (of
+2 to 8 numbers, four at once).
 
-    row_sums         of any rows; fills them up itself
-    padded_row_sums  of rows that stand in memory filled up to ``padded_length`` already
-    RowSums          of many batches of rows of one width, in memory that is made once and used again
+    row_sums         of any rows, which it fills up
+    padded_row_sums  of rows that are filled up to ``padded_length`` already
+    RowSums          of many batches of rows of one width, in memory that is allocated once
     sum_in_order     of a few terms each, one after another
 """
 
@@ -65,7 +65,7 @@ class RowSums:
         return self._sums(len(values))
 
     def places(self, row: Tensor, place: Tensor) -> Tensor:
-        """Where entries stand for ``placed``: (T,) from their rows and their places within them."""
+        """The places (T,) of entries for ``placed``, from their rows and their places within these."""
         return row * self._buffer.shape[1] + place
 
     def placed(self, values: Tensor, places: Tensor, rows: int) -> Tensor:
@@ -74,7 +74,7 @@ class RowSums:
         return self._sums(rows)
 
     def clear(self, places: Tensor) -> None:
-        """Put zeros where a call of ``placed`` put values."""
+        """Put zeros back at the places of a call of ``placed``."""
         self._buffer.view(-1)[places] = 0.0
 
     def _sums(self, rows: int) -> Tensor:
