@@ -230,12 +230,7 @@ def _by_former_names(
     if not former or len(descriptors) != len(weights):
         return descriptors, weights
     color, color_weights = former.pop("color", None), former.pop("color_weights", None)
-    changes: dict[str, dict[str, Any]] = {"geometry": {}, "color": {}, "any": {}, "pcfh": {}}
-    former_of: dict[tuple[str, str], str] = {}
-    for name, (kind, name_there) in _FORMER_FIELDS.items():
-        if name in former:
-            changes[kind][name_there] = former.pop(name)
-            former_of[kind, name_there] = name
+    changes = {name: former.pop(name) for name in _FORMER_FIELDS if name in former}
     if former:
         raise TypeError(f"RegistrationOptions has no option {next(iter(former))!r}")
     listed = list(zip(descriptors, weights, strict=True))
@@ -258,12 +253,12 @@ def _by_former_names(
         listed = [item for item in listed if not item[0].needs_colors] + colored
 
     def changed(record: Descriptor) -> Descriptor:
-        kinds = ["any", "color" if record.needs_colors else "geometry", *(["pcfh"] if isinstance(record, Pcfh) else [])]
+        kinds = {"any", "color" if record.needs_colors else "geometry", "pcfh" if isinstance(record, Pcfh) else "any"}
+        name_of = {field: name for name, (kind, field) in _FORMER_FIELDS.items() if name in changes and kind in kinds}
         try:
-            return replace(record, **{field: value for kind in kinds for field, value in changes[kind].items()})
+            return replace(record, **{field: changes[name] for field, name in name_of.items()})
         except ValueError as error:
             field, _, rest = str(error).partition(":")
-            name = next((former_of[kind, field] for kind in kinds if (kind, field) in former_of), field)
-            raise ValueError(f"{name}:{rest}") from None
+            raise ValueError(f"{name_of.get(field, field)}:{rest}") from None
 
     return tuple(changed(record) for record, _ in listed), tuple(weight for _, weight in listed)

@@ -161,14 +161,11 @@ def options_of_spacings(
     colored: bool = True,
     effort: str = "balanced",
 ) -> RegistrationOptions:
-    """The options of a pair by the spacings of its clouds.
+    """The options of a pair by the spacings of its clouds, source and target, after the voxels where there are any;
+    meters.
 
-    Args:
-        spacings: meters, of source and target, after the voxels where there are any.
-        voxel_size: meters, where it is decided; ``None`` sets one only where the spacings are uneven.
-        scale: meters, the spacing that lengths follow; ``None`` takes the coarser one.
-        colored: whether both clouds have colors.
-        effort: as in ``RegistrationOptions``.
+    ``voxel_size`` is given where it is decided already; ``None`` sets one only where the spacings are uneven. ``scale``
+    is the spacing that lengths follow; ``None`` takes the coarser one.
     """
     scale = max(spacings) if scale is None else scale
     if voxel_size is None and min(spacings) > 0 and max(spacings) > UNEVEN * min(spacings):

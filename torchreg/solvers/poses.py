@@ -141,14 +141,8 @@ def pose_vectors_of_pairs(rotation: Tensor, translation: Tensor, pair: Tensor, p
 def spread_out(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int) -> Tensor:
     """Choose poses one by one, leaving out those nearer than a radius to a chosen one of the same pair.
 
-    Args:
-        vectors: (12, H), those of a pair together, best first.
-        pair: (H,) int64, ascending.
-        radii: meters, of each pair.
-        count: how many at most of each pair.
-
-    Returns:
-        (K,) int64 places, ascending.
+    ``vectors`` (12, H) are those of a pair together, best first; ``pair`` (H,) ascends; ``radii`` of each pair are in
+    meters. At most ``count`` are chosen of each pair. Returns their places (K,), ascending.
     """
     limits = torch.tensor([radius * radius for radius in radii], dtype=torch.float64).to(vectors)
     place = torch.arange(vectors.shape[1], device=vectors.device)

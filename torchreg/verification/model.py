@@ -77,7 +77,7 @@ TERMS = load_terms()
 
 
 def term_values(evidence: Evidence, surprise: Tensor) -> Tensor:
-    """The values (H, D) of ``TERMS`` for the evidence of H poses and the surprise (H,) of their matches, powers of ten."""
+    """The values (H, D) of ``TERMS`` for the evidence of H poses and the surprise (H,) of their matches."""
 
     def bounded(name: str, values: Tensor) -> Tensor:
         return values.clamp(TERMS[name].low, TERMS[name].high)

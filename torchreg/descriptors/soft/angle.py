@@ -45,15 +45,10 @@ class _Angle(TensorFunction):
 
 
 def angle(sine: Tensor, cosine: Tensor) -> Tensor:
-    """The angle in [-pi, pi] of the direction (cosine, sine), as ``atan2``, to a few roundings.
+    """The angle in [-pi, pi] of the direction (cosine, sine), not both zero, as ``atan2``, to a few roundings.
 
-    Args:
-        sine: any shape; not zero together with ``cosine``.
-        cosine: the same shape.
-
-    Returns:
-        The same shape. Gradients flow, of any order; directions of length zero have none. Inside ``torch.func``
-        transforms and forward derivatives it is ``atan2`` itself.
+    Gradients flow, of any order; directions of length zero have none. Inside ``torch.func`` transforms and forward
+    derivatives it is ``atan2`` itself.
     """
     if not torch.compiler.is_compiling() and (transformed(sine) or transformed(cosine)):
         return torch.atan2(sine, cosine)

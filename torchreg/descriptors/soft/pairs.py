@@ -88,24 +88,9 @@ def arranged_pair(query: Oriented, neighbor: Oriented) -> ArrangedPair:
     length = sine.detach() ** 2 + cosine.detach() ** 2
     decided = length.gt(torch.finfo(ux.dtype).eps ** 2).to(ux.dtype) * proper
     f2 = _dot(vx, vy, vz, gx, gy, gz) / across
+    u, g, n, v = (ux, uy, uz), (gx, gy, gz), (nx, ny, nz), (vx, vy, vz)
     return ArrangedPair(
-        (ux, uy, uz),
-        inverse,
-        (gx, gy, gz),
-        (nx, ny, nz),
-        (vx, vy, vz),
-        across,
-        square,
-        turn,
-        along,
-        change,
-        swap,
-        sign,
-        sine,
-        cosine,
-        f2,
-        proper,
-        decided,
+        u, inverse, g, n, v, across, square, turn, along, change, swap, sign, sine, cosine, f2, proper, decided
     )
 
 

@@ -8,13 +8,8 @@ from collections.abc import Sequence
 def partition(costs: Sequence[int], budget: int, *, padded: bool = False) -> list[slice]:
     """Cut items, in order, into runs that cost at most ``budget``; an item that alone costs more is a run by itself.
 
-    Args:
-        costs: of every item.
-        budget: of a run, in the same unit.
-        padded: whether the items of a run are filled up to the costliest, so that each costs as much as that one.
-
-    Returns:
-        Slices that cover all items, each of one item at least.
+    Where ``padded``, the items of a run are filled up to the costliest, so that each costs as much as that one. Returns
+    slices that cover all items, each of one item at least.
     """
     runs: list[slice] = []
     begin = total = widest = 0
