@@ -36,7 +36,7 @@ class State:
     """Transforms and progress of the pairs; its tensors and lists are written in place."""
 
     rotation: Tensor  # (B, 3, 3) float64, between the centered frames
-    translation: Tensor  # (B, 3) float64, meters, likewise
+    translation: Tensor  # (B, 3) float64, meters
     fitness: Tensor  # (B,) float64
     inlier_rmse: Tensor  # (B,) float64, meters
     iterations: list[int]  # B numbers, updates made

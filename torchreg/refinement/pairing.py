@@ -51,7 +51,7 @@ class Frames(NamedTuple):
     """The zeros of both frames of every pair, (B, 3) float64, meters."""
 
     source_center: Tensor  # relative to the source's origin: the mean of its points
-    target_center: Tensor  # likewise
+    target_center: Tensor  # as source_center, of the target
     source_origin: Tensor  # of the clouds
     target_origin: Tensor  # of the clouds
 

@@ -28,10 +28,10 @@ class Recipe(NamedTuple):
     """One way from descriptors to poses."""
 
     blocks: tuple[int, ...]  # numbers of the descriptors that are fused
-    names: tuple[str, ...]  # of these
-    weights: tuple[float, ...]  # of these
+    names: tuple[str, ...]  # of these descriptors
+    weights: tuple[float, ...]  # of these descriptors
     neighbors: int  # nearest rows that may match
-    solver: str  # by name
+    solver: str  # its name
 
     @property
     def origin(self) -> str:

@@ -38,8 +38,8 @@ class Description:
     """What one cloud is described with: equal ones give equal clouds the same description."""
 
     voxel_size: float | None = length(None)  # meters, as in ``RegistrationOptions``
-    normal_radius: float = length()  # meters, likewise
-    normal_max_neighbors: int  # likewise
+    normal_radius: float = length()  # meters
+    normal_max_neighbors: int
     descriptors: tuple[Descriptor, ...]  # in the order of the features
 
     @property

@@ -38,13 +38,13 @@ class PairPoints(NamedTuple):
     """The correspondences of B pairs side by side, padded to the longest."""
 
     source: Tensor  # (3, B, M) float64, meters, about each pair's mean; zeros behind the last of a pair
-    target: Tensor  # (3, B, M) float64, likewise
+    target: Tensor  # as source
     valid: Tensor  # (B, M) bool, false behind the last correspondence of a pair
     score: Tensor  # (B, M) of the correspondences
-    counts: tuple[int, ...]  # how many each pair has
+    counts: tuple[int, ...]  # correspondences of each pair
     thresholds: tuple[float, ...]  # inlier threshold of each pair, meters
     source_center: Tensor  # (B, 3) float64, the means, meters
-    target_center: Tensor  # (B, 3) float64, likewise
+    target_center: Tensor  # as source_center
     seeds: tuple[int, ...]  # of each pair
 
     def pair(self, place: int) -> MatchedPoints:

@@ -100,7 +100,7 @@ class PointMoments(NamedTuple):
 
 
 def joined(parts: Sequence[Record]) -> Record:
-    """All rows of the parts, in order: named tuples of tensors, or of such tuples, joined field by field."""
+    """All rows of the parts, in order: named tuples of tensors, or of such tuples, concatenated field by field."""
     fields = [
         joined(values) if isinstance(values[0], tuple) else torch.cat(values) for values in zip(*parts, strict=True)
     ]

@@ -34,7 +34,7 @@ class RangeImages(NamedTuple):
 
     viewpoint: Tensor  # (3, G)
     ranges: Tensor  # of all cells, image by image
-    seen: Tensor  # likewise
+    seen: Tensor  # of all cells, image by image
     first: Tensor  # (G,) int64, where each image begins
     side: Tensor  # (G,) int64, cells along each side
     near: Tensor  # (G,)

@@ -29,7 +29,7 @@ class Term(NamedTuple):
     typical: float  # its mean over right poses (of those that have colors, viewpoints)
     prior: float  # the weight set by hand that the fit starts from and stays near
     low: float | None = None  # the evidence counts as at least this much; ``None``: unbounded
-    high: float | None = None  # likewise at most: beyond an overlap of 0.3, say, a pose is not the likelier
+    high: float | None = None  # and as at most this: beyond an overlap of 0.3, say, a pose is not more likely
 
 
 class Evidence(NamedTuple):

@@ -48,7 +48,7 @@ class PairLengths(NamedTuple):
 
 
 class ProposedPoses(NamedTuple):
-    """What one set of features and one solver proposed for all pairs."""
+    """The poses that one set of features and one solver proposed for all pairs."""
 
     origin: str  # features and solver in words
     matches: Correspondences  # of B pairs
@@ -56,20 +56,20 @@ class ProposedPoses(NamedTuple):
 
 
 class CenteredPair(NamedTuple):
-    """One pair about its clouds' middles."""
+    """One pair, the points of each cloud about the middle of its bounding box."""
 
-    source: Clouds  # one cloud; its origin takes the middle up
-    target: Clouds  # likewise
+    source: Clouds  # one cloud, whose origin includes that middle
+    target: Clouds  # as source
     matches: Sequence[MatchEndpoints]  # of every proposal, between those frames
     poses: Poses  # of all proposals, between those frames
-    lengths: PairLengths  # meters
+    lengths: PairLengths
 
 
 class PreparedPairs(NamedTuple):
     """The scans and matches of G pairs, on which poses are weighed."""
 
-    source: Scans  # the source scans
-    target: Scans  # the target scans
+    source: Scans
+    target: Scans
     matches: Sequence[Sequence[MatchCells]]  # of every pair, those of every proposal
     threshold: Tensor  # (G,) float64, meters, of an inlier
 
@@ -160,7 +160,7 @@ def initial_poses(pairs: Sequence[CenteredPair]) -> Poses:
 
 
 def _centered(cloud: Clouds) -> tuple[Clouds, Tensor]:
-    """One cloud about its middle (3,) float64, in float32, which then loses nothing; the origin takes the middle up."""
+    """One cloud in float32 about its middle (3,) float64, which becomes part of the origin: so no digits are lost."""
     wide = cloud.points.double()
     center = (wide.amin(dim=0) + wide.amax(dim=0)) / 2
     moved = Clouds(
