@@ -16,13 +16,11 @@ from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 from torchreg.errors import at_least, expect, one_of
 from torchreg.io.placement import viewpoint_of_text
-from torchreg.registration import presets
-from torchreg.registration.options import EFFORTS, RegistrationOptions, solver_by_name
-from torchreg.registration.presets import PAPER
+from torchreg.registration.options import EFFORTS, LEARNED, PAPER, RegistrationOptions, solver_by_name
 from torchreg.registration.spacing import MAX_POINTS, options_for
 from torchreg.solvers import SOLVERS, RansacOptions
 
-PRESETS: dict[str, RegistrationOptions | None] = {"default": None, **presets.PRESETS}
+PRESETS: dict[str, RegistrationOptions | None] = {"default": None, "paper": PAPER, "learned": LEARNED}
 """Options to start from, by name; ``None`` derives them from the spacing of the points."""
 
 Change = Callable[[RegistrationOptions, Any], RegistrationOptions]

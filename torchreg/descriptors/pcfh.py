@@ -60,14 +60,10 @@ def pcfh(
         saturation_weighting: hue votes count by the product of both points' saturations.
         values: (P, 3) hue, saturation and value in [0, 1] instead of those of ``cloud``, such as jointly
             equalized ones (``joint_color_values``).
-        binning: ``"hard"`` counts votes in bins; ``"soft"`` lets a vote pass linearly from bin to bin
-            (``soft.votes``) and equalizes by a smooth cumulative distribution (``soft_equalize``).
-        bandwidth: of soft binning, in (0, 1]: the part of a bin, and of a level of hue, over which a vote passes to
-            the next one.
+        binning, bandwidth, neighbor_weights: as in ``fpfh``; soft binning also equalizes by a smooth cumulative
+            distribution (``soft_equalize``), where the bandwidth is a part of a level of hue.
         edges: of soft binning, (channels, bins + 1) ascending from 0 to 1, where the bins of every channel end;
             ``None`` for equal bins. Its first and last column stay 0 and 1.
-        neighbor_weights: of soft binning, (P, K) not below 0, multiplied into the votes of HHD and the weights of
-            the sum over neighbors.
 
     Returns:
         Features of one block ("pcfh", bins x channels). A point with fewer than 3 neighbors besides itself

@@ -61,7 +61,7 @@ def nearest(query: Tensor, points: Tensor, *, backend: str = "auto", max_bytes: 
             torch.full((len(query),), -1, dtype=torch.int64, device=query.device),
             torch.full((len(query),), torch.inf, dtype=query.dtype, device=query.device),
         )
-    index = _from_tree(query, points) if compiled else _from_all_pairs(query, points, max_bytes)
+    index = _from_tree(query, points) if compiled else nearest_of_all(query, points, 1, max_bytes)[:, 0]
     return Nearest(index, sum_of_squares(*(query - points[index]).unbind(1)))
 
 
@@ -94,12 +94,18 @@ def _from_tree(query: Tensor, points: Tensor) -> Tensor:
     return torch.empty_like(query_order).index_copy_(0, query_order, point_order.index_select(0, place))
 
 
-def _from_all_pairs(query: Tensor, points: Tensor, max_bytes: int) -> Tensor:
-    """(Q,) int64 by comparing all pairs, a block of queries at a time."""
-    pair_bytes = 4 * points.element_size()  # three differences, and what argmin keeps
-    chunk_rows = max(1, max_bytes // (pair_bytes * len(points)))
-    nearest_rows = [
-        sum_of_squares(*(a[:, None] - b for a, b in zip(chunk.unbind(1), points.unbind(1), strict=True))).argmin(dim=1)
-        for chunk in query.split(chunk_rows)
-    ]
-    return torch.cat(nearest_rows)
+def nearest_of_all(query: Tensor, points: Tensor, count: int, max_bytes: int) -> Tensor:
+    """The nearest rows (Q, min(count, N)) int64 of points (N, 3), ascending by distance, ties to the lower row.
+
+    Every query (Q, 3) is compared with every point, in chunks of ``max_bytes``.
+    """
+    chunk_rows = max(1, max_bytes // (4 * points.element_size() * len(points)))  # differences, and what argmin keeps
+    chunks = []
+    for chunk in query.split(chunk_rows):
+        square = sum_of_squares(*(a[:, None] - b for a, b in zip(chunk.unbind(1), points.unbind(1), strict=True)))
+        rows = [square.argmin(dim=1, keepdim=True)]  # (R, 1)
+        while len(rows) < min(count, len(points)):
+            square.scatter_(1, rows[-1], torch.inf)
+            rows.append(square.argmin(dim=1, keepdim=True))
+        chunks.append(torch.cat(rows, dim=1))
+    return torch.cat(chunks)

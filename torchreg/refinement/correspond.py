@@ -17,8 +17,8 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather_columns
-from torchreg.neighborhoods.distances import sum_of_squares
 from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
+from torchreg.neighborhoods.point_index import nearest_of_all
 from torchreg.refinement.blocks import BLOCK, Blocks
 
 FEW = 4
@@ -202,15 +202,5 @@ def few_nearest(points: Tensor) -> Search:
 
 
 def all_pairs(points: Tensor, max_bytes: int = 256 * 2**20) -> Search:
-    """The search that compares every query with every point, in chunks of ``max_bytes``; ties go to the lower row."""
-    rows = max(1, max_bytes // (4 * points.element_size() * len(points)))
-    return lambda queries: torch.cat([_compare(chunk, points) for chunk in queries.split(rows)])
-
-
-def _compare(queries: Tensor, points: Tensor) -> Tensor:
-    square = sum_of_squares(*(a[:, None] - b for a, b in zip(queries.unbind(1), points.unbind(1), strict=True)))
-    nearest = []
-    for _ in range(min(FEW, len(points))):
-        nearest.append(square.argmin(dim=1, keepdim=True))  # (Q, 1)
-        square.scatter_(1, nearest[-1], torch.inf)
-    return torch.cat(nearest, dim=1)
+    """The search that compares every query with every point, in chunks of ``max_bytes``."""
+    return lambda queries: nearest_of_all(queries, points, FEW, max_bytes)

@@ -2,8 +2,7 @@
 
 from torchreg.registration.describe import describe_clouds
 from torchreg.registration.described import DescribedClouds
-from torchreg.registration.options import RegistrationOptions
-from torchreg.registration.presets import LEARNED, PAPER
+from torchreg.registration.options import LEARNED, PAPER, RegistrationOptions
 from torchreg.registration.register import register_described
 from torchreg.registration.spacing import derive_options, options_for
 
