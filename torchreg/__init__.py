@@ -2,9 +2,9 @@
 
     Clouds -> downsample -> neighbors -> normals -> descriptors -> fuse -> match_mutual -> ransac | compatibility
 
-Each arrow is one public function, tensors in and a named type out. ``register`` runs them for batches of pairs; unless
-told to be plain, it lets the poses of several sets of features compete on the clouds, refines them by ICP and says with
-what probability the winner is right.
+Each arrow is one public function, tensors in and a named type out. ``register`` runs them for batches of pairs. Unless
+the effort is plain, it lets the poses of several sets of features compete on the clouds, refines them by ICP and gives
+the probability that the winner is right.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ _ON_FIRST_USE = ("augment", "batch", "datasets", "learning", "nn", "reference", 
 
 
 def _explain(result: RegistrationResult, pair: int) -> str:
-    """The words of ``RegistrationResult.explain``, loaded when first asked for: ``report`` stands above ``types``."""
+    """The text of ``RegistrationResult.explain``, from ``report``, which is imported at the first call."""
     from torchreg.report.explain.explanation import explanation
 
     return explanation(result, pair)

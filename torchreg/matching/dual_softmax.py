@@ -1,4 +1,4 @@
-r"""Dual softmax: a pair counts as far as each of its points prefers the other to all others.
+r"""Dual softmax: the confidence of a pair is how much each of its points prefers the other to all others.
 
     C_ij = exp(s_ij) / sum_k exp(s_ik)  x  exp(s_ij) / sum_k exp(s_kj)
 

@@ -28,17 +28,17 @@ def match_mutual(
         target: the same, of the same width.
         ratio: keep a match only when its distance is below this fraction of the distance to the second
             nearest target (Lowe, IJCV 60(2), 2004, doi:10.1023/B:VISI.0000029664.99615.94); ``None``: keep all.
-        neighbors: a match (i, j) stands when j is among the ``neighbors`` nearest targets of i, and i among the
+        neighbors: (i, j) is a match when j is among the ``neighbors`` nearest targets of i, and i among the
             ``neighbors`` nearest sources of j. Above 1 a point may have several matches.
 
     Returns:
-        Correspondences, ascending by source row, then by target row; ``score`` is the feature distance. Exact:
-        what a brute-force search in float64 finds, ties to the lower row; the same for any batch and number of
-        threads. Rows that are not valid are never matched. No gradients.
+        Correspondences, ascending by source row, then by target row; ``score`` is the feature distance. Exact, as a
+        brute-force search in float64, ties to the lower row; the same for any batch and number of threads. Rows that
+        are not valid are never matched. No gradients.
 
     Raises:
         ValueError: different numbers of clouds, widths or dtypes, a ratio outside (0, 1], ``neighbors`` below 1, or
-            a ratio and ``neighbors`` above 1: a second nearest that is as good would be a match of its own.
+            a ratio and ``neighbors`` above 1: a second nearest that is as good would be another match.
     """
     expect_comparable(source, target)
     at_least(neighbors, "neighbors", 1)

@@ -48,7 +48,7 @@ class Estimator(NamedTuple):
 
 
 class IcpKind(NamedTuple):
-    """One kind of ICP: what it needs of the clouds, and how it estimates the motion.
+    """One kind of ICP: the attributes of clouds that it needs, and how it estimates the motion.
 
     Attributes:
         needs: pairs of ("source" or "target", attribute of ``Clouds``).

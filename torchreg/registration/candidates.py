@@ -120,7 +120,7 @@ def decide(
 
 
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:
-    """Fuse the recipe's blocks, with histograms moved towards square roots as far as the options say."""
+    """Fuse the recipe's blocks, their histograms moved towards square roots by the options' ``root``."""
     blocks = []
     for number in recipe.blocks:
         block, record = side.features[number], side.descriptors[0][number]

@@ -37,17 +37,17 @@ class RegistrationOptions:
             fused: 0 (the paper) leaves them, 1 compares histograms by Hellinger's distance.
         ratio: a match stays when its distance is below this fraction of the second nearest's; ``None``
             leaves the test out.
-        match_neighbors: a match stands when each point is among the other's so many nearest in feature space.
-        solver: what turns matches into poses; its inlier threshold holds for the whole registration. At construction
-            also a name of ``torchreg.solvers.SOLVERS``.
+        match_neighbors: two points match when each is among so many nearest of the other in feature space.
+        solver: the record that turns matches into poses; its inlier threshold is that of the whole registration. At
+            construction also a name of ``torchreg.solvers.SOLVERS``.
         effort: work spent per pair. ``"plain"`` is the paper's procedure with these features and this solver, and
-            stops there. The others let several candidate poses compete on the clouds themselves, refine them and
+            no more. The others let several candidate poses compete on the clouds themselves, refine them and
             judge the winner: ``"fast"`` from one set of features, ``"balanced"`` from two, ``"thorough"`` from
             several and by both of the library's solvers. Lengths do not depend on it; where ``register`` derives
             them, ``options_for`` takes them half as large again for ``"fast"``.
 
-    These names from before descriptors and solvers were records are read, and taken by the constructor and
-    ``dataclasses.replace``, as well: ``feature_radius`` and ``feature_max_neighbors``; ``color``, ``color_weights``,
+    The names from before descriptors and solvers were records can still be read, and given to the constructor and
+    ``dataclasses.replace``: ``feature_radius`` and ``feature_max_neighbors``; ``color``, ``color_weights``,
     ``color_radius``, ``color_bins``, ``color_channels``, ``equalization`` and ``saturation_weighting``; ``ransac``.
 
     Raises:
@@ -199,7 +199,7 @@ _FORMER_FIELDS = {  # names from before descriptors were records: which records 
 
 
 def solver_by_name(name: str, like: Solver) -> Solver:
-    """The solver of this name: ``like`` itself where it is the one, else a record with its threshold and refitting.
+    """The solver of this name: ``like`` if it has the name, else a record with its threshold and local optimization.
 
     Raises:
         ValueError: no solver has this name.
@@ -214,7 +214,7 @@ def _alike(kind: type[AnySolver], like: Solver) -> AnySolver:
 
 
 def _solver(solver: Solver | str | None, ransac: RansacOptions | None, before: Solver) -> Solver:
-    """The solver; ``ransac``, the former name of one of them, gives its threshold and refitting to any other."""
+    """The solver; options under the former name ``ransac`` give any other their threshold and local optimization."""
     if solver is None or isinstance(solver, str):
         return solver_by_name("ransac" if solver is None else solver, before if ransac is None else ransac)
     if not isinstance(solver, Solver):

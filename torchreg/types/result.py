@@ -62,7 +62,7 @@ class RegistrationResult:
         target: B clouds, likewise.
         correspondences: the matches to which ``inliers`` belongs; their rows are those of ``source`` and ``target``.
         options: the ``RegistrationOptions`` of every pair, derived numbers included; empty when made by a solver alone.
-        notes: what a user should know of a pair, such as that it had no colors.
+        notes: remarks on every pair, such as that it had no colors.
         seconds: time of every stage, by name, in order; empty when made by ``ransac``.
         probability: (B,) float64, calibrated, that the transform is right; ``None`` when made by a solver alone,
             as are all that follow.
@@ -71,7 +71,7 @@ class RegistrationResult:
         information: (B, 6, 6) float64, in the convention of Open3D's ``get_information_matrix_from_point_clouds``:
             rotations before translations, over the target points that are partners of source points, in the frame of
             the target's file. Summed over an even choice of the source points and scaled up to all of them.
-        strength: (B,) float64 in [0, 1], how evenly the surfaces hold the pose: the square root of the least over
+        strength: (B,) float64 in [0, 1], how evenly the surfaces constrain the pose: the square root of the least over
             the largest eigenvalue of the point-to-plane information, rotations scaled by the size of the
             overlap. Near 0 the pose slides along a plane, an axis or turns about one.
         runner_up: (B, 4, 4) float64, the best distinct other pose; NaN where there is none.

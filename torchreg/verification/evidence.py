@@ -23,7 +23,7 @@ from torchreg.verification.partners import partners
 from torchreg.verification.scans import Scans, rotated
 
 _LEAST_VARIANCE = 1e-5  # of a channel in [0, 1]: below it, the channel is one gray value and its rounding
-_STRIDE = 3  # of the points that tell the strength
+_STRIDE = 3  # of the points that the strength is computed from
 _ELEMENTS = 1 << 15  # points moved at once: what is made of them stays in the cache
 
 

@@ -20,9 +20,9 @@ MARGIN = 1.0
 """The least log-odds of a success over its runner-up: about e to one."""
 
 FIRM = 0.1
-"""Strength below which a refused pose is said to slide; right poses of real pairs have 0.1 and more."""
+"""Strength below which sliding is the reason of a refused pose; right poses of real pairs have 0.1 and more."""
 
-_LAID_ON = 0.3  # overlap from which surfaces lie on each other, so that sliding is what is left to blame
+_LAID_ON = 0.3  # overlap from which surfaces lie on each other, so that sliding is the likely reason
 _RIVAL = 0.05  # a rival with this share of the probability is named
 
 _LACKING = {
@@ -80,7 +80,7 @@ def refusal(
 
 
 def _most_lacking(candidates: Candidates) -> str:
-    """The term by which the best candidate falls short the most of what right poses have."""
+    """The term by which the best candidate falls short the most of right poses."""
     best = candidates.take(slice(1))
     values = dict(zip(TERMS, term_values(best.evidence, best.surprise)[0].tolist(), strict=True))
     lack = {name: TERMS[name].weight * (TERMS[name].typical - values[name]) for name in _LACKING}

@@ -1,4 +1,4 @@
-"""Items of known cost cut into runs that fit a budget: pairs of a batch into slices, clouds into groups."""
+"""Items of known cost cut into runs that fit a budget, such as the pairs of a batch into slices."""
 
 from __future__ import annotations
 

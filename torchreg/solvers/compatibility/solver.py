@@ -79,8 +79,8 @@ def compatibility(
 
     Every correspondence is the seed of a consensus set: of those that keep their distances to it, the ones that
     share the most partners with it (SC2-PCR: Chen et al., CVPR 2022, doi:10.1109/CVPR52688.2022.01287). The set
-    gives a transform, and the transforms are scored on all correspondences, as ``ransac`` scores its own. Nothing
-    is drawn at random: the result is bit for bit the same in any batch and with any number of threads.
+    gives a transform, and the transforms are scored on all correspondences, as those of ``ransac``. Nothing is drawn at
+    random: the result is bit for bit the same in any batch and with any number of threads.
 
     Args:
         source: B clouds.
