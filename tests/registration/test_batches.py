@@ -117,6 +117,17 @@ def test_described_clouds_survive_packing_and_unpacking():
         DescribedClouds.pack([described, describe_clouds(source, replace(ROOM, color=(), color_weights=()))])
 
 
+def test_a_clone_has_the_same_bits_in_memory_of_its_own():
+    described = describe_clouds(mixed_batch()[0], ROOM).unpack()[0]
+    copy = described.clone()
+    assert same_bits(copy.cloud, described.cloud)
+    assert same_bits(copy.features, described.features)
+    pairs = [(copy.cloud.points, described.cloud.points), (copy.cloud.normals, described.cloud.normals)]
+    pairs += [(one.values, other.values) for one, other in zip(copy.features, described.features, strict=True)]
+    for one, other in pairs:
+        assert one.untyped_storage().data_ptr() != other.untyped_storage().data_ptr()
+
+
 def test_a_pair_that_is_refused_leaves_its_clouds_to_other_pairs():
     good, bad = room_pair(600, seed=1), tr.Clouds(points=torch.zeros(2, 3), colors=torch.zeros(2, 3))
     bad = replace(bad, viewpoint=torch.zeros(1, 3))

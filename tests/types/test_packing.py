@@ -4,7 +4,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchreg.types.packing import checked_offsets, offsets_of, spans
+from torchreg.types.packing import checked_offsets, kept_rows, offsets_of, spans
 
 
 @given(st.lists(st.integers(0, 9), max_size=8))
@@ -18,3 +18,13 @@ def test_spans_undo_offsets(lengths):
 def test_offsets_of_nothing():
     assert offsets_of([]).tolist() == [0]
     assert spans(offsets_of([])) == []
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.booleans()), max_size=8))
+def test_kept_rows_are_those_of_the_items_that_are_not_left_out(items):
+    offsets = offsets_of(length for length, _ in items)
+    left_out = [out for _, out in items]
+    rows, kept = kept_rows(offsets, left_out)
+    spans_and_marks = zip(spans(offsets), left_out, strict=True)
+    assert rows.tolist() == [row for (begin, end), out in spans_and_marks if not out for row in range(begin, end)]
+    assert [end - begin for begin, end in spans(kept)] == [0 if out else length for length, out in items]

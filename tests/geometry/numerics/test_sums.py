@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchreg.geometry.numerics.chunks import stable_sum
-from torchreg.geometry.numerics.sums import RowSums, padded_length, padded_row_sums, row_sums
+from torchreg.geometry.numerics.sums import RowSums, padded_length, padded_row_sums, row_sums, sum_in_order
 
 
 def rows(count, width):
@@ -72,3 +72,12 @@ def test_a_padded_row_has_the_bits_of_a_stable_sum(count, rows, longer, seed):
 
 def test_a_padded_row_of_nothing_adds_up_to_zero():
     assert padded_row_sums(torch.zeros(2, padded_length(0), dtype=torch.float64)).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_a_sum_in_order_adds_one_after_another(count):
+    values = rows(count, 12).reshape(count, 3, 4).transpose(0, 1)  # (3, count, 4)
+    expected = torch.zeros(3, 4, dtype=torch.float64)
+    for k in range(count):
+        expected = expected + values[:, k]
+    assert same_bits(sum_in_order(values), expected)

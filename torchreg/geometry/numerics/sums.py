@@ -44,7 +44,7 @@ def padded_row_sums(values: Tensor) -> Tensor:
 
 
 def sum_in_order(values: Tensor) -> Tensor:
-    """Sums (..., S) of values (..., K, S) over the last dimension but one, one after another."""
+    """Sums (..., S) of values (..., K, S), K > 0, over the last dimension but one, one after another."""
     total = torch.zeros_like(values[..., 0, :])
     for row in values.unbind(dim=-2):
         total += row
