@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 from torchreg.errors import at_least, expect, one_of
 from torchreg.io.placement import viewpoint_of_text
-from torchreg.registration.options import EFFORTS, LEARNED, PAPER, RegistrationOptions, solver_by_name
+from torchreg.registration.options import EFFORTS, LEARNED, PAPER, RegistrationOptions
 from torchreg.registration.spacing import MAX_POINTS, options_for
 from torchreg.solvers import SOLVERS, RansacOptions
 
@@ -54,8 +54,8 @@ def _field(name: str) -> Change:
     return lambda options, value: replace(options, **{name: value})
 
 
-def _solver_field(name: str) -> Change:
-    return lambda options, value: replace(options, solver=replace(options.solver, **{name: value}))
+def _ransac_field(name: str) -> Change:
+    return lambda options, value: replace(options, ransac=replace(options.ransac, **{name: value}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,25 +104,25 @@ class StageSettings:
         "Support radius of the color features, in meters; by default 5 times the spacing of the points.",
     )
     inlier_threshold: float | None = _length(
-        _solver_field("inlier_threshold"),
+        _ransac_field("inlier_threshold"),
         "Distance in meters beyond which a match counts as an outlier of a transform; by default 1.5 times the spacing "
         "of the points.",
     )
     hypotheses: int | None = setting(
         None,
         "Search",
-        f"Largest number of minimal samples that RANSAC draws; by default {_RANSAC.hypotheses:,}.",
+        f"Largest number of minimal samples that RANSAC draws, where it runs; by default {_RANSAC.hypotheses:,}.",
         metavar="COUNT",
-        change=_solver_field("hypotheses"),
+        change=_ransac_field("hypotheses"),
         of_ransac=True,
     )
     confidence: float | None = setting(
         None,
         "Search",
-        "Probability, above 0 up to 1, of having drawn a better sample, at which RANSAC stops drawing; "
+        "Probability, above 0 up to 1, of having drawn a better sample, at which RANSAC stops drawing, where it runs; "
         f"1 draws all; by default {_RANSAC.confidence:g}.",
         metavar="PROBABILITY",
-        change=_solver_field("confidence"),
+        change=_ransac_field("confidence"),
         of_ransac=True,
     )
     no_color: bool = setting(
@@ -146,6 +146,7 @@ class StageSettings:
             if known.least is not None:
                 at_least(value, name, known.least)
         viewpoint_of_text(self.viewpoint)
+        self._expect_readers()
         self.over(PAPER)
 
     def _given(self) -> list[tuple[str, Any, Setting]]:
@@ -155,11 +156,17 @@ class StageSettings:
 
     def over(self, options: RegistrationOptions) -> RegistrationOptions:
         """The options with the value of every setting that has one."""
-        options = replace(options, solver=solver_by_name(self._solver(options), options.solver))
-        for _, value, known in self._given():
+        options = replace(options, solver=options.solver_named(self._solver(options)))
+        for name, value, known in self._given():
             if known.change is not None:
-                options = known.change(options, value)
+                try:
+                    options = known.change(options, value)
+                except ValueError as error:
+                    raise ValueError(f"{name}:{str(error).partition(':')[2]}") from None
         return options
+
+    def _expect_readers(self) -> None:
+        """Raise ``ValueError`` for a setting that nothing reads beside the others."""
 
     def _solver(self, options: RegistrationOptions) -> str:
         return RansacOptions.name
@@ -216,11 +223,12 @@ class Settings(StageSettings):
         choices=tuple(SOLVERS),
     )
 
-    def __post_init__(self) -> None:
-        solver = self._solver(PRESETS.get(self.preset) or options_for(1.0))
+    def _expect_readers(self) -> None:
+        start = PRESETS[self.preset] or options_for(1.0)
+        solver, effort = self._solver(start), self.effort or start.effort
         for name, _, known in self._given():
-            expect(not known.of_ransac or solver == RansacOptions.name, name, "the solver ransac beside it", solver)
-        super().__post_init__()
+            idle = known.of_ransac and solver != RansacOptions.name and effort != "thorough"
+            expect(not idle, name, "the solver ransac or the effort thorough beside it", f"{solver}, {effort}")
 
     def _solver(self, options: RegistrationOptions) -> str:
         return options.solver.name if self.solver is None else self.solver

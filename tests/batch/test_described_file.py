@@ -23,17 +23,17 @@ def test_what_is_written_comes_back(tmp_path, colored, dtype):
     cloud = replace(cloud, colors=cloud.colors if colored else None, viewpoint=cloud.viewpoint if colored else None)
     described = describe_clouds(cloud, OPTIONS)
     write_described(tmp_path / "one.pt", described)
-    again = read_described(tmp_path / "one.pt", described.descriptors[0])
+    again = read_described(tmp_path / "one.pt", described.descriptions[0])
     assert same_bits(again.cloud, described.cloud)
     assert same_bits(again.features, described.features)
-    assert again.descriptors == described.descriptors
+    assert again.descriptions == described.descriptions
     assert (again.spacing, again.facts) == (described.spacing, described.facts)
 
 
 def test_a_cloud_that_cannot_be_registered_keeps_its_reason(tmp_path):
     described = describe_clouds(tr.Clouds(points=torch.ones(9, 3)), OPTIONS)
     write_described(tmp_path / "one.pt", described)
-    assert read_described(tmp_path / "one.pt", described.descriptors[0]).facts == described.facts
+    assert read_described(tmp_path / "one.pt", described.descriptions[0]).facts == described.facts
     assert described.facts[0].defect.kind == "degenerate"
 
 
@@ -42,17 +42,17 @@ def test_what_is_no_description_is_none(tmp_path, content):
     file = tmp_path / "one.pt"
     if content is not None:
         file.write_bytes(content)
-    assert read_described(file, OPTIONS.descriptors) is None
+    assert read_described(file, description_of(OPTIONS, colored=True)) is None
     write_described(file, describe_clouds(room_pair(200).source, OPTIONS))
     file.write_bytes(file.read_bytes()[:-100])
-    assert read_described(file, OPTIONS.descriptors) is None
+    assert read_described(file, description_of(OPTIONS, colored=True)) is None
     write_described(file, describe_clouds(room_pair(200).source, OPTIONS))
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 0x40  # a byte that changed on the disk
     file.write_bytes(bytes(content))
-    assert read_described(file, OPTIONS.descriptors) is None
+    assert read_described(file, description_of(OPTIONS, colored=True)) is None
     torch.save({"points": torch.rand(3, 3)}, file)
-    assert read_described(file, OPTIONS.descriptors) is None
+    assert read_described(file, description_of(OPTIONS, colored=True)) is None
 
 
 def test_names_differ_where_anything_does():

@@ -106,8 +106,8 @@ def test_described_clouds_survive_packing_and_unpacking():
     again = DescribedClouds.pack(described.unpack())
     assert same_bits(again.cloud, described.cloud)
     assert same_bits(again.features, described.features)
-    assert (again.descriptors, again.spacing, again.facts) == (
-        described.descriptors,
+    assert (again.descriptions, again.spacing, again.facts) == (
+        described.descriptions,
         described.spacing,
         described.facts,
     )
@@ -146,6 +146,9 @@ def test_the_second_half_says_what_it_lacks():
     source, target = (describe_clouds(cloud, bare) for cloud in pair[:2])
     with refuses("source", "Pcfh"):
         register_described(source, target, [ROOM])
+    for change in ({"voxel_size": 0.2}, {"normal_radius": 0.3}):
+        with refuses("source", "normal_radius"):
+            register_described(source, target, [replace(bare, **change)])
     two = DescribedClouds.pack([source, source])
     with refuses("options", "lengths only"):
         register_described(two, two, [bare, replace(bare, match_neighbors=2)])

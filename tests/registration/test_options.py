@@ -1,6 +1,7 @@
 """Options are checked when made; the defaults are the paper's."""
 
 import dataclasses
+from dataclasses import replace
 
 import pytest
 from problems import room_pair
@@ -106,23 +107,98 @@ def test_former_names_are_read_and_taken():
     assert options.weights == (1.0, 0.7, 0.4)
     assert (options.feature_radius, options.color_radius, options.color_bins) == (3.0, 1.5, 5)
     assert (options.color, options.color_weights) == (("contrast", "pcfh"), (0.7, 0.4))
-    assert dataclasses.replace(options, color_radius=2.0, color=("pcfh",)).descriptors == (
+    assert replace(options, color_radius=2.0, color=("pcfh",)).descriptors == (
         tr.Fpfh(radius=3.0),
         tr.Pcfh(radius=2.0, bins=5),
     )
-    assert dataclasses.replace(options, feature_max_neighbors=40).feature_max_neighbors == 40
+    assert replace(options, feature_max_neighbors=40).feature_max_neighbors == 40
 
 
-def test_the_former_name_of_ransac_sets_the_threshold_of_any_solver():
-    ransac = tr.RansacOptions(inlier_threshold=0.5, local_optimization=3)
+def test_ransac_beside_another_solver_keeps_its_options_and_shares_its_threshold():
+    ransac = tr.RansacOptions(inlier_threshold=0.5, local_optimization=3, hypotheses=7)
     assert tr.RegistrationOptions(ransac=ransac).solver is ransac
     by_sets = tr.RegistrationOptions(solver=tr.CompatibilityOptions(nodes=300), ransac=ransac)
     assert by_sets.solver == tr.CompatibilityOptions(nodes=300, inlier_threshold=0.5, local_optimization=3)
     assert by_sets.ransac == ransac
     assert tr.RegistrationOptions(solver="compatibility", ransac=ransac).inlier_threshold == 0.5
-    assert dataclasses.replace(by_sets, solver="ransac").solver == ransac
-    assert dataclasses.replace(tr.options_for(0.1), solver="ransac").inlier_threshold == pytest.approx(0.15)
-    assert dataclasses.replace(tr.options_for(0.1), solver="ransac").scaled(2).inlier_threshold == pytest.approx(0.3)
+    assert replace(by_sets, solver="ransac").solver == ransac
+    assert (
+        replace(replace(tr.RegistrationOptions(ransac=ransac), solver="compatibility"), solver="ransac").solver
+        == ransac
+    )
+    wider = replace(by_sets, solver=replace(by_sets.solver, inlier_threshold=0.7))
+    assert (wider.inlier_threshold, wider.ransac) == (0.7, replace(ransac, inlier_threshold=0.7))
+    finer = replace(wider, ransac=replace(wider.ransac, inlier_threshold=0.1))
+    assert (finer.inlier_threshold, finer.ransac.inlier_threshold, finer.solver.nodes) == (0.1, 0.1, 300)
+    doubled = finer.scaled(2)
+    assert (doubled.solver, doubled.ransac) == (finer.solver.scaled(2), finer.ransac.scaled(2))
+    assert replace(doubled, root=0.5) == replace(finer, root=0.5).scaled(2)
+    derived = tr.options_for(0.1)
+    assert replace(derived, solver="ransac").inlier_threshold == derived.ransac.inlier_threshold
+    with refuses("ransac", "the solver's own"):
+        tr.RegistrationOptions(solver=tr.RansacOptions(hypotheses=5), ransac=ransac)
+
+
+def test_thorough_runs_ransac_by_its_own_options():
+    pair = room_pair(400)
+    options = replace(
+        tr.options_for(0.3, effort="thorough"), ransac=tr.RansacOptions(inlier_threshold=0.4, hypotheses=9)
+    )
+    proposals = tr.register(pair.source, pair.target, options).stages[0].proposals
+    assert {proposal.drawn for proposal in proposals if proposal.origin.endswith("ransac")} == {9}
+
+
+def test_color_that_is_put_back_has_the_scale_of_the_geometry():
+    bare = tr.options_for(0.1).without_color()
+    (_, color) = replace(bare, color=("pcfh",), color_weights=(0.5,)).descriptors
+    assert color == tr.Pcfh(radius=bare.feature_radius)
+    assert bare.color_radius == bare.feature_radius
+
+
+def test_former_names_leave_records_of_one_class_alone():
+    two = tr.RegistrationOptions(
+        descriptors=(tr.Pcfh(radius=1), tr.Fpfh(radius=1), tr.Pcfh(radius=2, bins=5)), weights=(1, 0.5, 0.25)
+    )
+    assert replace(two, color=two.color) == two
+    assert replace(two, color_weights=(2.0, 3.0)).weights == (2.0, 0.5, 3.0)
+    with refuses("color_radius", "not 2"):
+        replace(two, color_radius=1.5)
+    assert replace(two, feature_radius=3.0).descriptors[1] == tr.Fpfh(radius=3.0)
+
+
+@pytest.mark.parametrize(
+    ("former", "named"),
+    [
+        ({"color": (), "color_radius": -1}, "color_radius"),
+        ({"color": (), "color_bins": "x"}, "color_bins"),
+        ({"color": ("contrast",), "equalization": "foo"}, "equalization"),
+        ({"color_weights": 1.0}, "color_weights"),
+    ],
+)
+def test_former_names_refuse_what_no_record_reads_too(former, named):
+    with refuses(named):
+        tr.RegistrationOptions(**former)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"descriptors": tr.Fpfh(radius=1)}, "descriptors"),
+        ({"descriptors": 5}, "descriptors"),
+        ({"weights": 1.0}, "weights"),
+        ({"ransac": "x"}, "ransac"),
+        ({"solver": 3}, "solver"),
+    ],
+)
+def test_other_types_are_refused_by_name(given, named):
+    with pytest.raises(TypeError, match=rf"^{named}: expected .*, got "):
+        tr.RegistrationOptions(**given)
+
+
+@pytest.mark.parametrize("factor", [0, -1, "2", None, float("nan")])
+def test_a_factor_that_scales_nothing_is_refused(factor):
+    with refuses("factor"):
+        tr.PAPER.scaled(factor)
 
 
 def test_options_are_keys():
@@ -134,6 +210,6 @@ def test_effort_changes_no_length_of_options_that_are_given(effort):
     pair = room_pair(400)
     options = tr.options_for(0.2)
     one = tr.register(pair.source, pair.target, options, effort=effort)
-    other = tr.register(pair.source, pair.target, dataclasses.replace(options, effort=effort))
-    assert one.options == other.options == (dataclasses.replace(options, effort=effort),)
+    other = tr.register(pair.source, pair.target, replace(options, effort=effort))
+    assert one.options == other.options == (replace(options, effort=effort),)
     assert (one.T_target_source == other.T_target_source).all()

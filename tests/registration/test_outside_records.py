@@ -12,6 +12,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.solvers import Hypotheses, MatchedPoints
+from torchreg.types.lengths import length
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +124,80 @@ def test_a_record_without_its_function_or_a_wrong_answer_is_refused_by_name():
         tr.RegistrationOptions(solver=3)
     with pytest.raises(TypeError, match="no option 'collor'"):
         tr.RegistrationOptions(collor=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ring(tr.Descriptor):
+    """Neighbors beyond an inner radius, which must be the smaller one."""
+
+    name: ClassVar[str] = "ring"
+    inner: float = length()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.inner < self.radius:
+            raise ValueError(f"inner: expected less than radius, got {self.inner}")
+
+    def describe(self, cloud, near):
+        beyond = near.valid & (near.sq_distance > self.inner**2)
+        count = beyond.sum(dim=1, keepdim=True).to(cloud.points)
+        return tr.Features(count, cloud.offsets, ((self.name, 1),), valid=count[:, 0] > 0)
+
+
+def test_lengths_that_must_differ_may_differ_in_a_batch():
+    pairs = [room_pair(500, scale=scale, seed=5) for scale in (1.0, 3.0)]
+    options = [options_with(0.2 * scale, Ring(radius=scale, inner=0.5 * scale)) for scale in (1.0, 3.0)]
+    source, target = (tr.Clouds.pack(side) for side in zip(*(pair[:2] for pair in pairs), strict=True))
+    together = tr.register(source, target, options)
+    alone = [tr.register(pair.source, pair.target, option) for pair, option in zip(pairs, options, strict=True)]
+    assert same_bits(together.T_target_source, torch.cat([one.T_target_source for one in alone]))
+
+
+@pytest.mark.parametrize("spoiled", ["nan", "garbage in a row that is not valid"])
+def test_features_that_would_spoil_others_are_refused(spoiled):
+    @dataclass(frozen=True, kw_only=True)
+    class Spoiled(Shape):
+        name: ClassVar[str] = "spoiled"
+
+        def describe(self, cloud, near):
+            features = super().describe(cloud, near)
+            values, valid = features.values.clone(), features.valid.clone()
+            if spoiled == "nan":
+                values[0, 0] = float("nan")
+            else:
+                valid[0] = False
+            return replace(features, values=values, valid=valid)
+
+    pair = room_pair(300)
+    with refuses("Spoiled.describe", "finite rows"):
+        tr.register(pair.source, pair.target, options_with(0.2, Spoiled(radius=0.8)))
+
+
+@pytest.mark.parametrize("answer", [None, float("nan")])
+def test_a_solver_that_answers_nonsense_is_refused(answer):
+    @dataclass(frozen=True, kw_only=True)
+    class Nonsense(AllTriples):
+        name: ClassVar[str] = "nonsense"
+
+        def propose(self, points):
+            hypotheses = super().propose(points)
+            hypotheses.add(torch.full((3, 3, 1), float("nan")), torch.zeros(3, 1))
+            return None if answer is None else hypotheses
+
+    pair = room_pair(400)
+    with refuses("Nonsense.propose"):
+        tr.register(pair.source, pair.target, options_with(0.3, solver=Nonsense(inlier_threshold=0.4)))
+
+
+def test_a_record_that_is_no_key_is_refused():
+    @dataclass(frozen=True, kw_only=True)
+    class Listed(Shape):
+        name: ClassVar[str] = "listed"
+        parts: list
+
+    with pytest.raises(TypeError, match="descriptors: expected a frozen record"):
+        tr.RegistrationOptions(descriptors=(Listed(radius=1.0, parts=[1]),))
+    assert tr.Pcfh(radius=1.0, channels=["hue"]) == tr.Pcfh(radius=1.0)
 
 
 def test_lengths_scale_together():

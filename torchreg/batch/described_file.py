@@ -11,11 +11,9 @@ from typing import Any
 
 import torch
 
-from torchreg.descriptors.descriptor import Descriptor
 from torchreg.io.atomic import atomic_write
 from torchreg.io.result_json import plain_data
-from torchreg.registration.describe import Description
-from torchreg.registration.described import DescribedClouds
+from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
@@ -63,8 +61,8 @@ def write_described(path: Path, described: DescribedClouds) -> None:
         file.write(buffer.getvalue())
 
 
-def read_described(path: Path, descriptors: tuple[Descriptor, ...]) -> DescribedClouds | None:
-    """Read one cloud that these descriptors described.
+def read_described(path: Path, description: Description) -> DescribedClouds | None:
+    """Read one cloud that was described so.
 
     ``None`` where the file is missing or damaged, so that it is to be made again.
     """
@@ -75,7 +73,7 @@ def read_described(path: Path, descriptors: tuple[Descriptor, ...]) -> Described
     checksum, body = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
     if _checksum(body) != checksum:
         return None
-    return _described(torch.load(io.BytesIO(body), map_location="cpu", weights_only=True), descriptors)
+    return _described(torch.load(io.BytesIO(body), map_location="cpu", weights_only=True), description)
 
 
 def _plain(facts: CloudFacts) -> list[Any]:
@@ -88,7 +86,7 @@ def _checksum(content: bytes) -> bytes:
     return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
 
 
-def _described(content: dict[str, Any], descriptors: tuple[Descriptor, ...]) -> DescribedClouds:
+def _described(content: dict[str, Any], description: Description) -> DescribedClouds:
     cloud = Clouds(**{name: content[name] for name in ("points", "colors", "normals", "origin", "viewpoint")})
     features = tuple(
         Features(
@@ -103,4 +101,4 @@ def _described(content: dict[str, Any], descriptors: tuple[Descriptor, ...]) -> 
     for points, extent, failure, colors, faced in content["facts"]:
         defect = None if failure is None else Failure(*failure)
         facts.append(CloudFacts(points, extent, defect, None if colors is None else tuple(colors), faced))
-    return DescribedClouds(cloud, features, (descriptors,), tuple(content["spacing"]), tuple(facts))
+    return DescribedClouds(cloud, features, (description,), tuple(content["spacing"]), tuple(facts))

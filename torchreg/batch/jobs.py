@@ -16,7 +16,8 @@ from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Bounds, Row, row_of
 from torchreg.errors import expect
 from torchreg.registration import DescribedClouds, derive_options, register_described
-from torchreg.registration.describe import Description, describe_by
+from torchreg.registration.describe import describe_by
+from torchreg.registration.described import Description
 from torchreg.registration.options import RegistrationOptions
 from torchreg.types import Clouds
 
@@ -99,7 +100,7 @@ def _load_slice(item: Slice) -> dict[str, DescribedClouds | Clouds]:
     """The described clouds of a slice by their files; where a file is missing or damaged, the cloud itself."""
     clouds = {side.file: side for pair in item for side in (pair.source, pair.target)}
     return {
-        file: read_described(Path(file), side.description.descriptors) or _load_cloud(side)
+        file: read_described(Path(file), side.description) or _load_cloud(side)
         for file, side in clouds.items()
     }
 

@@ -14,7 +14,7 @@ from torchreg.batch.rows import Bounds
 from torchreg.geometry.numerics.partition import partition
 from torchreg.registration.describe import description_of
 from torchreg.registration.options import RegistrationOptions
-from torchreg.types.lengths import without_lengths
+from torchreg.types.lengths import besides_lengths
 
 SLICE_PAIRS = 16
 """Pairs of a slice at most: what is lost when a run is cut off."""
@@ -56,7 +56,7 @@ def slices_of(items: Sequence[PairItem], workers: int, max_bytes: int) -> list[S
     workers end at about the same time."""
     alike: dict[object, list[PairItem]] = {}
     for item in items:
-        key = (without_lengths(item.options), item.colored, item.pair.settings.seed)
+        key = (besides_lengths(item.options), item.colored, item.pair.settings.seed)
         alike.setdefault(key, []).append(item)
     most = max(1, min(SLICE_PAIRS, -(-len(items) // (_ROUNDS * workers))))
     room = min(SLICE_BYTES, max_bytes // _MEMORY_FACTOR)

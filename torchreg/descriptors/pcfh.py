@@ -138,6 +138,7 @@ class Pcfh(Descriptor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "channels", tuple(self.channels))
         at_least(self.bins, "bins", 1)
         expect(len(self.channels) > 0, "channels", "at least one channel", self.channels)
         for channel in self.channels:

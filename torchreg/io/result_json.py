@@ -130,6 +130,8 @@ def plain_data(value: Any) -> Any:  # noqa: ANN401
         return {str(key): plain_data(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain_data(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain_data(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -16,7 +16,8 @@ from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
 from torchreg.nn.precision import full_precision
-from torchreg.registration.describe import Description, downsample, oriented, support_of
+from torchreg.registration.describe import downsample, oriented, support_of
+from torchreg.registration.described import Description
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import options_of_pairs
 from torchreg.registration.spacing import derive_options
@@ -54,7 +55,7 @@ class Register(nn.Module):
             from every pair (``derive_options``). Solver, effort and what concerns matches and hypotheses are not read.
         descriptors: ``FPFH`` and ``PCFH`` modules in the order of their blocks; ``None``: soft ones as the options'
             records say, FPFH and PCFH without options. The support of a module is that of the record of its kind in
-            the options; where there is none, of the first record.
+            the options, module by module; where there is none, of the first record.
         fuse: ``None``: weights of 1 to begin with, or the options' ``weights``, and their ``root``.
         match: ``None``: ``SoftMatch()``, dual softmax.
         solve: ``None``: ``WeightedKabsch(rounds=5)``. A scale of its own holds; else the inlier threshold.
@@ -133,23 +134,32 @@ class Register(nn.Module):
                 voxel_size=option.voxel_size,
                 normal_radius=option.normal_radius,
                 normal_max_neighbors=option.normal_max_neighbors,
-                descriptors=tuple(_record_of(module, option) for module in self.descriptors),
+                descriptors=_records_of(self.descriptors, option),
             )
             for option in options
         ]
         cloud, near = oriented(cloud, descriptions)
         blocks = []
         for number, module in enumerate(self.descriptors):
-            support = support_of(cloud, near, [description.descriptors[number] for description in descriptions])
-            colors = {"values": values} if isinstance(module, PCFH) else {}
+            records = [description.descriptors[number] for description in descriptions]
+            support = support_of(cloud, near, records)
+            colors = {"values": values} if isinstance(module, PCFH) and records[0].is_pairwise else {}
             blocks.append(module(cloud, support, **colors))
         return cloud, self.fuse(*blocks)
 
 
-def _record_of(module: nn.Module, options: RegistrationOptions) -> Descriptor:
-    """The record whose support a module has."""
-    kind = Pcfh if isinstance(module, PCFH) else Fpfh
-    return next((record for record in options.descriptors if isinstance(record, kind)), options.descriptors[0])
+def _records_of(modules: Iterable[nn.Module], options: RegistrationOptions) -> tuple[Descriptor, ...]:
+    """The records whose supports the modules have: the next of their kind, else the last of it, else the first."""
+    left = list(options.descriptors)
+    records: list[Descriptor] = []
+    for module in modules:
+        kind = Pcfh if isinstance(module, PCFH) else Fpfh
+        alike = [record for record in left if isinstance(record, kind)]
+        if alike:
+            left.remove(alike[0])
+        before = [record for record in records if isinstance(record, kind)]
+        records.append(alike[0] if alike else before[-1] if before else options.descriptors[0])
+    return tuple(records)
 
 
 def _descriptors_of(options: RegistrationOptions | None) -> list[FPFH | PCFH]:

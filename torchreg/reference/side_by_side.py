@@ -16,7 +16,7 @@ from torchreg.reference.pair import FEATURES
 from torchreg.registration import derive_options
 from torchreg.registration.describe import description_of, downsample, oriented
 from torchreg.registration.inspect import refuse
-from torchreg.registration.options import RegistrationOptions, solver_by_name
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.types import Clouds, Correspondences, RegistrationResult
 
@@ -65,7 +65,7 @@ def compare(
         truth = truth.detach().to("cpu", torch.float64)
     source, target = source.to("cpu"), target.to("cpu")
     options = derive_options(source, target)[0] if options is None else options
-    options = replace(options, match_neighbors=1, solver=solver_by_name("ransac", options.solver), effort="plain")
+    options = replace(options, match_neighbors=1, solver=options.solver_named("ransac"), effort="plain")
     if features == "fpfh":
         options = options.without_color()
     given = source

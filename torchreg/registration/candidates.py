@@ -15,7 +15,7 @@ import torch
 from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.matching.mutual import match_mutual
 from torchreg.registration.described import DescribedClouds
-from torchreg.registration.options import RegistrationOptions, solver_by_name
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
 from torchreg.solvers import base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
@@ -65,7 +65,7 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
     sets = [everything, geometry] if geometry else [everything]
     if options.effort == "balanced":
         return tuple(dict.fromkeys(recipe(numbers, first.neighbors, first.solver) for numbers in sets))
-    sets += [(*geometry, number) for number in color]
+    sets += [tuple(sorted((*geometry, number))) for number in color]
     several = first.neighbors if options.ratio is not None else max(first.neighbors, 2)
     ways = ((several, "compatibility"), (first.neighbors, "ransac"))
     return tuple(dict.fromkeys((first, *(recipe(numbers, *way) for numbers in dict.fromkeys(sets) for way in ways))))
@@ -94,7 +94,7 @@ def solve(
     seed: int,
 ) -> ProposedPoses:
     """Turn matches into the distinct poses of every pair, by the recipe's solver."""
-    solvers = [solver_by_name(recipe.solver, option.solver).at_effort(option.effort) for option in options]
+    solvers = [option.solver_named(recipe.solver).at_effort(option.effort) for option in options]
     drawn = base_seed(torch.Generator().manual_seed(seed))
     poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=drawn)
     return ProposedPoses(recipe.origin, matches, poses)
@@ -123,7 +123,7 @@ def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -
     """Fuse the recipe's blocks, their histograms moved towards square roots by the options' ``root``."""
     blocks = []
     for number in recipe.blocks:
-        block, record = side.features[number], side.descriptors[0][number]
+        block, record = side.features[number], side.descriptions[0].descriptors[number]
         if options.root > 0 and record.is_histogram:
             block = replace(block, values=rooted(block.values, options.root))
         blocks.append(block)

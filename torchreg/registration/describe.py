@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -21,41 +21,16 @@ from torchreg.geometry.numerics.partition import partition
 from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import in_morton_order, voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
-from torchreg.registration.described import DescribedClouds
+from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, set_aside, too_wide
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
 from torchreg.types import Clouds, Features, Neighborhoods
-from torchreg.types.lengths import length, without_lengths
+from torchreg.types.lengths import besides_lengths
 from torchreg.types.packing import spans
 
 _SLOT_BYTES = 32  # of a neighborhood's slot: index, distance and masks, of the search and of what restricts it
 _SPACING_NEIGHBOR = 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class Description:
-    """What one cloud is described with: equal ones give equal clouds the same description."""
-
-    voxel_size: float | None = length(None)  # meters, as in ``RegistrationOptions``
-    normal_radius: float = length()  # meters
-    normal_max_neighbors: int
-    descriptors: tuple[Descriptor, ...]  # in the order of the features
-
-    @property
-    def max_neighbors(self) -> int:
-        """The slots of the one search that serves normals and descriptors."""
-        return max(self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors))
-
-    @property
-    def widest(self) -> float:
-        """Meters, the radius of that search."""
-        return max(self.normal_radius, *(record.radius for record in self.descriptors))
-
-    @property
-    def is_pairwise(self) -> bool:
-        """Whether some descriptor looks at both clouds of a pair."""
-        return any(record.is_pairwise for record in self.descriptors)
 
 
 def description_of(options: RegistrationOptions, *, colored: bool) -> Description:
@@ -124,9 +99,9 @@ def describe_thin(thin: Clouds, descriptions: Sequence[Description], *, max_byte
     parts = []
     for group in groups:
         cloud, near = oriented(thin.select(range(len(thin))[group]), descriptions[group])
-        descriptors = tuple(description.descriptors for description in descriptions[group])
-        features, spacing = describe(cloud, near, descriptors), _spacings(cloud, near)
-        parts.append(DescribedClouds(cloud, features, descriptors, spacing, facts_of(cloud)))
+        features = describe(cloud, near, [description.descriptors for description in descriptions[group]])
+        made = tuple(descriptions[group])
+        parts.append(DescribedClouds(cloud, features, made, _spacings(cloud, near), facts_of(cloud)))
     return DescribedClouds.pack(parts)
 
 
@@ -168,7 +143,7 @@ def support_of(cloud: Clouds, near: Neighborhoods, records: Sequence[Descriptor]
 def expect_alike(options: Sequence[RegistrationOptions] | Sequence[Description]) -> None:
     """Raise ``ValueError`` where options of one batch differ in more than lengths."""
     for option in options[1:]:
-        alike = without_lengths(option) == without_lengths(options[0])
+        alike = besides_lengths(option) == besides_lengths(options[0])
         expect(alike, "options", "options that differ in lengths only within one batch", option)
 
 
@@ -192,6 +167,8 @@ def _checked(features: Features, cloud: Clouds, record: Descriptor) -> Features:
         torch.equal(features.offsets, cloud.offsets), name, f"a row for each of {len(cloud.points)} points", features
     )
     expect(features.values.dtype == cloud.points.dtype, name, f"values in {cloud.points.dtype}", features.values)
+    broken = ~torch.isfinite(features.values).all(dim=1) | (~features.valid & (features.values != 0).any(dim=1))
+    expect(not bool(broken.any()), name, "finite rows, zero where not valid", f"{int(broken.sum())} others")
     return features
 
 

@@ -13,8 +13,33 @@ from torchreg.descriptors.descriptor import Descriptor
 from torchreg.errors import expect
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features
-from torchreg.types.lengths import without_lengths
+from torchreg.types.lengths import besides_lengths, length
 from torchreg.types.packing import kept_rows, spans
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What one cloud is described with: equal ones give equal clouds the same description."""
+
+    voxel_size: float | None = length(None)  # meters, as in ``RegistrationOptions``
+    normal_radius: float = length()  # meters
+    normal_max_neighbors: int
+    descriptors: tuple[Descriptor, ...]  # in the order of the features
+
+    @property
+    def max_neighbors(self) -> int:
+        """The slots of the one search that serves normals and descriptors."""
+        return max(self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors))
+
+    @property
+    def widest(self) -> float:
+        """Meters, the radius of that search."""
+        return max(self.normal_radius, *(record.radius for record in self.descriptors))
+
+    @property
+    def is_pairwise(self) -> bool:
+        """Whether some descriptor looks at both clouds of a pair."""
+        return any(record.is_pairwise for record in self.descriptors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,25 +49,26 @@ class DescribedClouds:
     Attributes:
         cloud: downsampled, in Z order, with normals.
         features: of every descriptor, not yet scaled or weighed; all have the offsets of ``cloud``.
-        descriptors: of every cloud the records that described it, in the order of ``features``.
+        descriptions: of every cloud what it was described with, its descriptors in the order of ``features``.
         spacing: B numbers, meters, the median distance to the fourth nearest other point.
         facts: of the B clouds as they were given.
     """
 
     cloud: Clouds
     features: tuple[Features, ...]
-    descriptors: tuple[tuple[Descriptor, ...], ...]
+    descriptions: tuple[Description, ...]
     spacing: tuple[float, ...]
     facts: tuple[CloudFacts, ...]
 
     def __post_init__(self) -> None:
-        for name in ("descriptors", "spacing", "facts"):
+        for name in ("descriptions", "spacing", "facts"):
             count = len(getattr(self, name))
             expect(count == len(self.cloud), name, f"one per cloud ({len(self.cloud)})", count)
         for features in self.features:
             expect(torch.equal(features.offsets, self.cloud.offsets), "features", "the offsets of the cloud", features)
-        for records in self.descriptors:
-            expect(len(records) == len(self.features), "descriptors", f"one per block ({len(self.features)})", records)
+        for description in self.descriptions:
+            fits = len(description.descriptors) == len(self.features)
+            expect(fits, "descriptions", f"a descriptor per block ({len(self.features)})", description)
 
     def __len__(self) -> int:
         """The number of clouds, B."""
@@ -50,15 +76,15 @@ class DescribedClouds:
 
     @staticmethod
     def pack(parts: Sequence[DescribedClouds]) -> DescribedClouds:
-        """Join batches into one; all must have the same descriptors, but for their lengths.
+        """Join batches into one; all must have the same descriptions, but for their lengths.
 
         Raises:
-            ValueError: nothing to pack, or other descriptors in one part than in another.
+            ValueError: nothing to pack, or other descriptions in one part than in another.
         """
         expect(len(parts) > 0, "parts", "at least one", parts)
         if len(parts) == 1:
             return parts[0]
-        kinds = {tuple(map(without_lengths, records)) for part in parts for records in part.descriptors}
+        kinds = {besides_lengths(description) for part in parts for description in part.descriptions}
         expect(len(kinds) <= 1, "parts", "the same descriptors in all", kinds)
         cloud = Clouds.pack([part.cloud for part in parts])
         features = []
@@ -68,7 +94,7 @@ class DescribedClouds:
         return DescribedClouds(
             cloud=cloud,
             features=tuple(features),
-            descriptors=tuple(records for part in parts for records in part.descriptors),
+            descriptions=tuple(description for part in parts for description in part.descriptions),
             spacing=tuple(spacing for part in parts for spacing in part.spacing),
             facts=tuple(facts for part in parts for facts in part.facts),
         )
@@ -79,7 +105,7 @@ class DescribedClouds:
             DescribedClouds(
                 cloud=cloud,
                 features=self._features(cloud.offsets, itemgetter(slice(begin, end))),
-                descriptors=self.descriptors[b : b + 1],
+                descriptions=self.descriptions[b : b + 1],
                 spacing=self.spacing[b : b + 1],
                 facts=self.facts[b : b + 1],
             )

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
-from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.learned import Learned, shipped_numbers
 from torchreg.descriptors.pcfh import Pcfh
 from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.registration.former_names import by_former_names
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled
-
-AnySolver = TypeVar("AnySolver", bound=Solver)
 
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
@@ -39,7 +37,10 @@ class RegistrationOptions:
             leaves the test out.
         match_neighbors: two points match when each is among so many nearest of the other in feature space.
         solver: the record that turns matches into poses; its inlier threshold is that of the whole registration. At
-            construction also a name of ``torchreg.solvers.SOLVERS``.
+            construction and in ``dataclasses.replace`` also a name of ``torchreg.solvers.SOLVERS``, at the threshold
+            that there is.
+        ransac: how RANSAC draws where ``"thorough"`` runs it beside another solver, at the same threshold; the solver
+            itself where that is RANSAC.
         effort: work spent per pair. ``"plain"`` is the paper's procedure with these features and this solver, and
             no more. The others let several candidate poses compete on the clouds themselves, refine them and
             judge the winner: ``"fast"`` from one set of features, ``"balanced"`` from two, ``"thorough"`` from
@@ -48,11 +49,12 @@ class RegistrationOptions:
 
     The names from before descriptors and solvers were records can still be read, and given to the constructor and
     ``dataclasses.replace``: ``feature_radius`` and ``feature_max_neighbors``; ``color``, ``color_weights``,
-    ``color_radius``, ``color_bins``, ``color_channels``, ``equalization`` and ``saturation_weighting``; ``ransac``.
+    ``color_radius``, ``color_bins``, ``color_channels``, ``equalization`` and ``saturation_weighting``. They change the
+    records that there are: a descriptor that is taken out takes its settings with it.
 
     Raises:
         ValueError: a value out of its range, no descriptor, or another number of weights than of descriptors.
-        TypeError: an unknown name, or an entry of ``descriptors`` or ``solver`` that is no such record.
+        TypeError: an unknown name, or an entry of ``descriptors``, ``solver`` or ``ransac`` that is no such record.
 
     Example:
         >>> options = RegistrationOptions(descriptors=(Fpfh(radius=0.25),), solver="compatibility").scaled(2)
@@ -69,9 +71,10 @@ class RegistrationOptions:
     ratio: float | None
     match_neighbors: int
     solver: Solver
+    ransac: RansacOptions
     effort: str
-    # passed on by dataclasses.replace: a solver given by name then takes over the threshold of this one
-    _solver_before: Solver = field(repr=False, compare=False)
+    # solver and ransac once more: dataclasses.replace passes them on, and the constructor sees which of them changed
+    _before: tuple[Solver, RansacOptions] = field(repr=False, compare=False)
 
     def __init__(
         self,
@@ -85,14 +88,18 @@ class RegistrationOptions:
         ratio: float | None = None,
         match_neighbors: int = 1,
         solver: Solver | str | None = None,
+        ransac: RansacOptions | None = None,
         effort: str = "plain",
-        _solver_before: Solver | None = None,
+        _before: tuple[Solver, RansacOptions] | None = None,
         **former: Any,  # noqa: ANN401
     ) -> None:
-        records = (Fpfh(radius=5.0), Pcfh(radius=2.0)) if descriptors is None else tuple(descriptors)
-        shares = (1.0,) * len(records) if weights is None else tuple(weights)
-        by = _solver(solver, former.pop("ransac", None), _solver_before or RansacOptions())
-        records, shares = _by_former_names(records, shares, former)
+        records = (Fpfh(radius=5.0), Pcfh(radius=2.0)) if descriptors is None else _listed(descriptors, "descriptors")
+        shares = (1.0,) * len(records) if weights is None else _listed(weights, "weights")
+        _expect_records(records)
+        expect(len(shares) == len(records), "weights", f"one per descriptor ({len(records)})", shares)
+        expect(ratio is None or match_neighbors == 1, "match_neighbors", "1 beside a ratio", match_neighbors)
+        records, shares = by_former_names(records, shares, former)
+        both = _solvers(solver, ransac, _before)
         values = {
             "voxel_size": voxel_size if voxel_size is None else positive(voxel_size, "voxel_size"),
             "normal_radius": positive(normal_radius, "normal_radius"),
@@ -102,18 +109,13 @@ class RegistrationOptions:
             "root": fraction(root, "root", zero=True),
             "ratio": ratio if ratio is None else fraction(ratio, "ratio"),
             "match_neighbors": at_least(match_neighbors, "match_neighbors", 1),
-            "solver": by,
+            "solver": both[0],
+            "ransac": both[1],
             "effort": one_of(effort, "effort", EFFORTS),
-            "_solver_before": by,
+            "_before": both,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        expect(len(records) > 0, "descriptors", "at least one", records)
-        for record in records:
-            if not isinstance(record, Descriptor):
-                raise TypeError(f"descriptors: expected records such as Fpfh(radius=0.25), got {record!r}")
-        expect(len(shares) == len(records), "weights", f"one per descriptor ({len(records)})", shares)
-        expect(ratio is None or match_neighbors == 1, "match_neighbors", "1 beside a ratio", match_neighbors)
 
     @property
     def inlier_threshold(self) -> float:
@@ -124,8 +126,22 @@ class RegistrationOptions:
         """The same options for points ``factor`` times as far apart: every length multiplied."""
         return scaled(self, factor)
 
+    def solver_named(self, name: str) -> Solver:
+        """The solver of this name: one of the two there are, else a record with their threshold.
+
+        Raises:
+            ValueError: no solver has this name.
+        """
+        return next((solver for solver in (self.solver, self.ransac) if solver.name == name), None) or _like(
+            name, self.solver
+        )
+
     def without_color(self) -> RegistrationOptions:
-        """The same options with the descriptors alone that need no colors."""
+        """The same options with the descriptors alone that need no colors.
+
+        Raises:
+            ValueError: all of them need colors.
+        """
         kept = [each for each in zip(self.descriptors, self.weights, strict=True) if not each[0].needs_colors]
         return replace(
             self, descriptors=tuple(record for record, _ in kept), weights=tuple(weight for _, weight in kept)
@@ -178,91 +194,74 @@ class RegistrationOptions:
         return self._pcfh.saturation_weighting
 
     @property
-    def ransac(self) -> RansacOptions:
-        """The solver where it is RANSAC, else RANSAC's defaults at the same threshold."""
-        return _alike(RansacOptions, self.solver)
-
-    @property
     def _pcfh(self) -> Pcfh:
         return next((record for record in self.descriptors if isinstance(record, Pcfh)), Pcfh(radius=self.color_radius))
 
 
-_FORMER_FIELDS = {  # names from before descriptors were records: which records they change, and which field of these
-    "feature_radius": ("geometry", "radius"),
-    "feature_max_neighbors": ("any", "max_neighbors"),
-    "color_radius": ("color", "radius"),
-    "color_bins": ("pcfh", "bins"),
-    "color_channels": ("pcfh", "channels"),
-    "equalization": ("pcfh", "equalization"),
-    "saturation_weighting": ("pcfh", "saturation_weighting"),
-}
+def _solvers(
+    solver: Solver | str | None, ransac: RansacOptions | None, before: tuple[Solver, RansacOptions] | None
+) -> tuple[Solver, RansacOptions]:
+    """The solver and the options of RANSAC, at one threshold: that of the one that changes, else of the solver."""
+    _expect_solver(solver, ransac)
+    old_solver, old_ransac = before or (RansacOptions(), RansacOptions())
+    changed = ransac is not None and (before is None or ransac != old_ransac)
+    ransac = old_ransac if ransac is None else ransac
+    if solver is None:
+        solver = ransac
+    elif isinstance(solver, str):
+        solver = ransac if solver == ransac.name else _like(solver, ransac if changed else old_solver)
+    elif isinstance(solver, RansacOptions) and changed:
+        given = before is None or solver != old_solver
+        expect(not given or solver == ransac, "ransac", "the solver's own options, or none beside RANSAC", ransac)
+        solver = ransac
+    if isinstance(solver, RansacOptions):
+        return solver, solver
+    if changed:
+        return replace(solver, **_shared(ransac)), ransac
+    return solver, replace(ransac, **_shared(solver))
 
 
-def solver_by_name(name: str, like: Solver) -> Solver:
-    """The solver of this name: ``like`` if it has the name, else a record with its threshold and local optimization.
-
-    Raises:
-        ValueError: no solver has this name.
-    """
-    return like if like.name == name else _alike(SOLVERS[one_of(name, "solver", tuple(SOLVERS))], like)
+def _like(name: str, other: Solver) -> Solver:
+    """The solver of this name at the threshold of another, with its local optimization."""
+    return other if other.name == name else SOLVERS[one_of(name, "solver", tuple(SOLVERS))](**_shared(other))
 
 
-def _alike(kind: type[AnySolver], like: Solver) -> AnySolver:
-    if isinstance(like, kind):
-        return like
-    return kind(inlier_threshold=like.inlier_threshold, local_optimization=like.local_optimization)
+def _shared(solver: Solver) -> dict[str, Any]:
+    return {"inlier_threshold": solver.inlier_threshold, "local_optimization": solver.local_optimization}
 
 
-def _solver(solver: Solver | str | None, ransac: RansacOptions | None, before: Solver) -> Solver:
-    """The solver; options under the former name ``ransac`` give any other their threshold and local optimization."""
-    if solver is None or isinstance(solver, str):
-        return solver_by_name("ransac" if solver is None else solver, before if ransac is None else ransac)
-    if not isinstance(solver, Solver):
-        raise TypeError(f"solver: expected a record such as RansacOptions(), got {solver!r}")
-    if ransac is None or isinstance(solver, RansacOptions):
-        return ransac or solver
-    return replace(solver, inlier_threshold=ransac.inlier_threshold, local_optimization=ransac.local_optimization)
+def _listed(values: Sequence[Any], name: str) -> tuple[Any, ...]:
+    if not isinstance(values, Sequence) or isinstance(values, str):
+        raise TypeError(f"{name}: expected a sequence such as a tuple, got {values!r}")
+    return tuple(values)
 
 
-def _by_former_names(
-    descriptors: tuple[Descriptor, ...], weights: tuple[float, ...], former: dict[str, Any]
-) -> tuple[tuple[Descriptor, ...], tuple[float, ...]]:
-    """Descriptors and weights with the values given under former names."""
-    if not former or len(descriptors) != len(weights):
-        return descriptors, weights
-    color, color_weights = former.pop("color", None), former.pop("color_weights", None)
-    changes = {name: former.pop(name) for name in _FORMER_FIELDS if name in former}
-    if former:
-        raise TypeError(f"RegistrationOptions has no option {next(iter(former))!r}")
-    listed = list(zip(descriptors, weights, strict=True))
-    colored = [item for item in listed if item[0].needs_colors]
-    if color is not None:
-        known = {record.name: (record, weight) for record, weight in colored}
-        radius = next((record.radius for record, _ in colored), 2.0)
-        for name in color:
-            one_of(name, "color", tuple(key for key, kind in DESCRIPTORS.items() if kind.needs_colors))
-        colored = [known.get(name, (DESCRIPTORS[name](radius=radius), 1.0)) for name in color]
-    if color_weights is not None:
-        expect(
-            len(color_weights) == len(colored), "color_weights", f"one per color block ({len(colored)})", color_weights
-        )
-        colored = [
-            (record, positive(weight, "color_weights"))
-            for (record, _), weight in zip(colored, color_weights, strict=True)
-        ]
-    if color is not None or color_weights is not None:
-        listed = [item for item in listed if not item[0].needs_colors] + colored
+def _expect_records(records: Sequence[Descriptor]) -> None:
+    expect(len(records) > 0, "descriptors", "at least one", records)
+    for record in records:
+        if not isinstance(record, Descriptor):
+            raise TypeError(f"descriptors: expected records such as Fpfh(radius=0.25), got {record!r}")
+        _expect_key(record, "descriptors")
 
-    def changed(record: Descriptor) -> Descriptor:
-        kinds = {"any", "color" if record.needs_colors else "geometry", "pcfh" if isinstance(record, Pcfh) else "any"}
-        name_of = {field: name for name, (kind, field) in _FORMER_FIELDS.items() if name in changes and kind in kinds}
-        try:
-            return replace(record, **{field: changes[name] for field, name in name_of.items()})
-        except ValueError as error:
-            field, _, rest = str(error).partition(":")
-            raise ValueError(f"{name_of.get(field, field)}:{rest}") from None
 
-    return tuple(changed(record) for record, _ in listed), tuple(weight for _, weight in listed)
+def _expect_solver(solver: object, ransac: object) -> None:
+    if not (solver is None or isinstance(solver, (str, Solver))):
+        raise TypeError(f"solver: expected a record such as RansacOptions(), or a name, got {solver!r}")
+    if not (ransac is None or isinstance(ransac, RansacOptions)):
+        raise TypeError(f"ransac: expected RansacOptions(), got {ransac!r}")
+    if isinstance(solver, Solver):
+        _expect_key(solver, "solver")
+
+
+def _expect_key(record: Descriptor | Solver, name: str) -> None:
+    """Raise ``TypeError`` where a record cannot be a key of what is shared and cached."""
+    kind = type(record).__name__
+    if not isinstance(getattr(record, "name", None), str):
+        raise TypeError(f"{name}: expected a class with a name, got {kind} without")
+    try:
+        hash(record)
+    except TypeError:
+        raise TypeError(f"{name}: expected a frozen record, tuples in place of lists, got {record!r}") from None
 
 
 PAPER = RegistrationOptions()

@@ -18,10 +18,10 @@ from torch import Tensor
 from torchreg.errors import at_least, expect, expect_device
 from torchreg.geometry.numerics.partition import partition
 from torchreg.refinement.pairing import numbered
-from torchreg.registration.describe import Description, describe_thin, description_of, downsample, expect_alike
-from torchreg.registration.described import DescribedClouds
+from torchreg.registration.describe import describe_thin, description_of, downsample, expect_alike
+from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, refusal, set_aside
-from torchreg.registration.options import RegistrationOptions, solver_by_name
+from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.same_clouds import same_clouds
 from torchreg.registration.spacing import derive_numbered
 from torchreg.registration.stopwatch import stage
@@ -157,10 +157,9 @@ def options_of_pairs(
     listed = isinstance(options, Sequence) and all(isinstance(option, RegistrationOptions) for option in options)
     expect(listed, "options", "RegistrationOptions, one per pair or one for all", options)
     expect(len(options) == pairs, "options", f"one for all or one per pair ({pairs})", len(options))
-    if isinstance(solver, str):
-        options = [replace(option, solver=solver_by_name(solver, option.solver)) for option in options]
-    elif solver is not None:
-        options = [replace(option, solver=solver) for option in options]
+    if solver is not None:
+        change: dict[str, Any] = {"solver": solver}  # by name or as a record
+        options = [replace(option, **change) for option in options]
     if effort is not None:
         options = [replace(option, effort=effort) for option in options]
     expect_alike(options)

@@ -104,8 +104,8 @@ def register_described(
     expect_alike(options)
     colored = source.cloud.colors is not None and target.cloud.colors is not None
     for name, side in (("source", source), ("target", target)):
-        for option, described in zip(options, side.descriptors, strict=True):
-            needed = description_of(option, colored=colored).descriptors
+        for option, described in zip(options, side.descriptions, strict=True):
+            needed = description_of(option, colored=colored)
             expect(described == needed, name, f"descriptions by {needed}", described)
     with stopwatch() as seconds:
         result = _find_poses(source, target, options, colored=colored, seed=seed)
@@ -121,6 +121,7 @@ def _find_poses(
     seed: int,
 ) -> RegistrationResult:
     """Match, solve and decide, for the pairs of one slice."""
+    expect(isinstance(seed, int), "seed", "an integer", seed)
     facts = list(zip(source.facts, target.facts, strict=True))
     refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
     source, target = source.without(refused), target.without(refused)

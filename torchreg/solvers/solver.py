@@ -10,7 +10,7 @@ from typing import ClassVar, TypeVar
 import torch
 from torch import Tensor
 
-from torchreg.errors import at_least, one_of, positive
+from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.solvers.points import MatchedPoints
 from torchreg.solvers.scoring import QUALITIES, correspondence_vectors, proposal_dtype, propose_counts
 from torchreg.types import Failure
@@ -160,5 +160,10 @@ class Solver:
         cls: type[AnySolver], solvers: Sequence[AnySolver], points: Sequence[MatchedPoints]
     ) -> Iterator[Hypotheses]:
         """The hypotheses of several pairs, in order, each by its solver; overridden where together takes less time."""
+        name = f"{cls.__name__}.propose"
         for solver, pair in zip(solvers, points, strict=True):
-            yield solver.propose(pair)
+            hypotheses = solver.propose(pair)
+            expect(isinstance(hypotheses, Hypotheses), name, "Hypotheses", hypotheses)
+            finite = all(bool(torch.isfinite(part).all()) for part in hypotheses.best(hypotheses.stored))
+            expect(finite, name, "finite rotations and translations", "others")
+            yield hypotheses

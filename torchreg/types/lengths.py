@@ -6,9 +6,11 @@ without their lengths, follow from that mark.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Hashable
 from dataclasses import MISSING, field, fields, is_dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
+
+from torchreg.errors import positive
 
 Options = TypeVar("Options")
 
@@ -21,33 +23,34 @@ def length(default: Any = MISSING) -> Any:  # noqa: ANN401
 
 
 def scaled(options: Options, factor: float) -> Options:
-    """Multiply every length of a record by ``factor``, those of records inside it too; ``None`` stays ``None``."""
+    """Multiply every length of a record by ``factor``, those of records inside it too; ``None`` stays ``None``.
 
-    def inside(record: Options) -> Options:
-        return cast(Options, record.scaled(factor)) if hasattr(record, "scaled") else scaled(record, factor)
-
-    return _with_lengths(options, lambda value, _: None if value is None else factor * value, inside)
-
-
-def without_lengths(options: Options) -> Options:
-    """The record with every length at one meter (``None`` where that is its default).
-
-    Two records become equal exactly where they differ in lengths alone.
+    Raises:
+        ValueError: a factor that is not a finite number above 0.
     """
-    return _with_lengths(
-        options, lambda _, default: None if default is None else 1.0, lambda record: without_lengths(record)
-    )
+    positive(factor, "factor")
 
+    def changed(value: Any) -> Any:  # noqa: ANN401
+        if isinstance(value, tuple):
+            return tuple(map(changed, value))
+        if not is_dataclass(value):
+            return value
+        return value.scaled(factor) if hasattr(value, "scaled") else scaled(value, factor)
 
-def _with_lengths(options: Options, change: Callable[[Any, Any], Any], inside: Callable[[Any], Any]) -> Options:
-    changes: dict[str, Any] = {}
+    changes = {}
     for each in fields(options):  # type: ignore[arg-type]
         value = getattr(options, each.name)
-        if each.metadata.get("unit") == "m":
-            changes[each.name] = change(value, each.default)
-        elif is_dataclass(value):
-            changes[each.name] = inside(value)
-        elif isinstance(value, tuple):
-            changes[each.name] = tuple(inside(item) if is_dataclass(item) else item for item in value)
-    changed: Options = replace(options, **changes)  # type: ignore[type-var]
-    return changed
+        is_length = each.metadata == _MARK and value is not None
+        changes[each.name] = factor * value if is_length else changed(value)
+    grown: Options = replace(options, **changes)  # type: ignore[type-var]
+    return grown
+
+
+def besides_lengths(options: object) -> Hashable:
+    """A key of everything in a record but its lengths: equal exactly where two records differ in lengths alone."""
+    if isinstance(options, tuple):
+        return tuple(map(besides_lengths, options))
+    if not is_dataclass(options):
+        return options
+    kept = [each.name for each in fields(options) if each.metadata != _MARK and each.compare]
+    return (type(options), *(besides_lengths(getattr(options, name)) for name in kept))

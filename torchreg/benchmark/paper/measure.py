@@ -26,7 +26,8 @@ from torchreg.descriptors.fuse import fuse
 from torchreg.geometry.se3 import transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample
-from torchreg.registration.describe import Description, describe, description_of, oriented
+from torchreg.registration.describe import describe, description_of, oriented
+from torchreg.registration.described import Description
 from torchreg.registration.register import register
 from torchreg.types import Clouds, Features, Neighborhoods
 

@@ -50,6 +50,11 @@ def _points(facts: Facts) -> str:
     return f"denser clouds: one has only {left:,} points"
 
 
+def _voxels(facts: Facts) -> str:
+    voxel = None if facts.failure is None else facts.failure.figures.get("voxel_size")
+    return "" if voxel is None else f"a larger voxel_size (now {meters(voxel)})"
+
+
 def _threshold(facts: Facts) -> str:
     if facts.options is None or facts.options.voxel_size is None or facts.threshold is None:
         return ""
@@ -170,7 +175,7 @@ _Rule = Callable[[Facts], str]
 CLOUD_RULES: dict[str, tuple[_Rule, ...]] = {
     "too few points": (_points,),
     "not finite": (),
-    "too wide": (),
+    "too wide": (_voxels,),
     "degenerate": (),
 }
 """By kind of failure, for clouds that cannot be registered with any setting; no other rule is asked then."""
