@@ -127,7 +127,7 @@ def row_of(
         "used_source": stages.points[0],
         "used_target": stages.points[1],
         "voxel_size": options.voxel_size,
-        "inlier_threshold": options.ransac.inlier_threshold,
+        "inlier_threshold": options.inlier_threshold,
         "effort": options.effort,
         "notes": "; ".join(result.notes[b]),
         "failure": None if failure is None else failure.kind,
@@ -187,7 +187,7 @@ def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, boun
     if not (bool(result.success[b]) or posed) or len(source.points) == 0:
         return {"found": False}
     errors = pose_errors(source, T_true, T)
-    meters = 4 * result.options[b].ransac.inlier_threshold if bounds.meters is None else bounds.meters
+    meters = 4 * result.options[b].inlier_threshold if bounds.meters is None else bounds.meters
     found = errors.rre_degrees < bounds.degrees and errors.rte_meters < meters
     plain = {name: value if math.isfinite(value) else None for name, value in errors._asdict().items()}
     return {"found": found, **plain}

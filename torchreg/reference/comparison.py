@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
@@ -28,7 +27,7 @@ class Side:
         fitness: of its transform by Open3D's ``evaluate_registration``; ``None`` where it has none.
         inlier_rmse: likewise, meters.
         truth: errors against the true transform, where that is known and this one was found.
-        seconds: time of every stage after downsampling, by name, in order.
+        seconds: of every stage after downsampling, by name, in order.
     """
 
     T_target_source: Tensor
@@ -40,12 +39,12 @@ class Side:
     fitness: float | None
     inlier_rmse: float | None
     truth: PoseErrors | None
-    seconds: tuple[tuple[str, float], ...]
+    seconds: dict[str, float]
 
     @property
     def total_seconds(self) -> float:
         """The time of these stages."""
-        return sum(seconds for _, seconds in self.seconds)
+        return sum(self.seconds.values())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,45 +76,15 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, texts and lists, ready for JSON; numbers that are not finite become ``None``."""
-        content: dict[str, Any] = {
+        counts = {"torchreg": self.torchreg.matches, "open3d": self.open3d.matches, "shared": self.shared_matches}
+        differences = [{**plain_data(one), "share_off": one.share_off, "agree": one.agree} for one in self.descriptors]
+        return {
             "features": self.features,
             "points": {"source": self.points[0], "target": self.points[1]},
             "descriptors_agree": self.descriptors_agree,
-            "descriptors": [
-                {**asdict(one), "share_off": one.share_off, "agree": one.agree, "ties": [t._asdict() for t in one.ties]}
-                for one in self.descriptors
-            ],
-            "matches": {
-                "torchreg": self.torchreg.matches,
-                "open3d": self.open3d.matches,
-                "shared": self.shared_matches,
-            },
-            "torchreg": _side(self.torchreg),
-            "open3d": _side(self.open3d),
+            "descriptors": differences,
+            "matches": counts,
+            "torchreg": plain_data(self.torchreg),
+            "open3d": plain_data(self.open3d),
             "options": plain_data(self.options),
         }
-        return {key: _plain(value) for key, value in content.items()}
-
-
-def _side(side: Side) -> dict[str, Any]:
-    return {
-        "T_target_source": side.T_target_source.tolist(),
-        "success": side.success,
-        "reason": side.reason,
-        "notes": side.notes,
-        "matches": side.matches,
-        "inliers": side.inliers,
-        "fitness": side.fitness,
-        "inlier_rmse": side.inlier_rmse,
-        "truth": None if side.truth is None else side.truth._asdict(),
-        "seconds": dict(side.seconds),
-    }
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401
-    """Lists for tuples and ``None`` for numbers that are not finite, all the way down."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -12,7 +12,7 @@ from torchreg.metrics import pose_errors
 from torchreg.reference import open3d
 from torchreg.reference.comparison import Comparison, Side
 from torchreg.reference.descriptors import DescriptorDifference, descriptor_differences
-from torchreg.reference.pair import FEATURES
+from torchreg.reference.pair import FEATURES, fpfh_of
 from torchreg.registration import derive_options
 from torchreg.registration.describe import description_of, downsample, oriented
 from torchreg.registration.inspect import refuse
@@ -77,11 +77,10 @@ def compare(
         usable = refuse(source, target)[0] is None
     as_they_are = replace(options, voxel_size=None)
     if usable:
-        differences = tuple(
-            difference
-            for name, cloud in (("source", source), ("target", target))
-            for difference in _describe_both(cloud, name, options)
-        )
+        fpfh = fpfh_of(options)
+        for name, cloud in (("source", source), ("target", target)):
+            with_normals, _ = oriented(cloud, [description_of(options, colored=cloud.colors is not None)])
+            differences += descriptor_differences(with_normals, fpfh.radius, fpfh.max_neighbors, name)
         _warm_up(source, target, as_they_are, features)
     results = (
         register(source, target, as_they_are, seed=seed),
@@ -105,23 +104,14 @@ def shared(one: Correspondences, other: Correspondences) -> int:
     return len(both[0] & both[1])
 
 
-def _describe_both(cloud: Clouds, name: str, options: RegistrationOptions) -> tuple[DescriptorDifference, ...]:
-    colored = cloud.colors is not None
-    with_normals, _ = oriented(cloud, [description_of(options, colored=colored)])
-    return descriptor_differences(with_normals, options.feature_radius, options.feature_max_neighbors, name)
-
-
 def _warm_up(source: Clouds, target: Clouds, options: RegistrationOptions, features: str) -> None:
-    """Register a few points with both, so that neither's times hold what only a first call takes."""
-    few = [_thinned(cloud) for cloud in (source, target)]
+    """Register a few points with both, so that neither's times include what only a first call takes."""
+    few = []
+    for cloud in (source, target):
+        index = torch.arange(0, len(cloud.points), -(-len(cloud.points) // _WARM_UP_POINTS))
+        few.append(cloud.rows(index, torch.tensor([0, len(index)])))
     register(few[0], few[1], options)
     open3d.register(few[0], few[1], options, features=features)
-
-
-def _thinned(cloud: Clouds) -> Clouds:
-    step = -(-len(cloud.points) // _WARM_UP_POINTS)
-    index = torch.arange(0, len(cloud.points), step)
-    return cloud.rows(index, torch.tensor([0, len(index)]))
 
 
 def _side(
@@ -148,5 +138,5 @@ def _side(
         fitness=None if fit is None else float(fit.fitness[0]),
         inlier_rmse=None if fit is None else float(fit.inlier_rmse[0]),
         truth=errors,
-        seconds=tuple(lap for lap in result.seconds if lap[0] not in _BEFORE),
+        seconds={name: seconds for name, seconds in result.seconds if name not in _BEFORE},
     )

@@ -133,7 +133,7 @@ def real_places(path: Path, seed: int) -> tuple[Place, ...]:
             group=REAL_OUTDOOR if pair.outdoor else REAL,
             name=pair.name,
             number=seed,
-            scale=pair.voxel / PAPER.ransac.inlier_threshold,
+            scale=pair.voxel / PAPER.inlier_threshold,
             scan=partial(_read, pair),
         )
         for pair in listed

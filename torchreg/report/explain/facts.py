@@ -68,6 +68,11 @@ class Facts(NamedTuple):
         """The inlier threshold, meters."""
         return None if self.options is None else self.options.inlier_threshold
 
+    @property
+    def radius(self) -> float | None:
+        """The support radius of the first descriptor, meters."""
+        return None if self.options is None else self.options.descriptors[0].radius
+
 
 def facts_of(result: RegistrationResult, pair: int) -> Facts:
     """The figures of one pair.
