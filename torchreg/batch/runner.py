@@ -141,11 +141,7 @@ def _todo(
 
 
 def _expect_same_pairs(pairs: Sequence[Pair], finished: Mapping[str, FinishedPair]) -> None:
-    """Refuse pairs whose finished row was written differently; one that failed may be corrected.
-
-    Raises:
-        ValueError: a pair differs; the message names it.
-    """
+    """Refuse a pair whose finished row was written differently; one that failed may be corrected."""
     for pair in pairs:
         row = finished.get(pair.name)
         if row is None or row.state in RETRIED:

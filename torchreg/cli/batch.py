@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from dataclasses import dataclass
 from enum import Enum
@@ -19,10 +18,10 @@ from torchreg.batch.summary import summarize
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
-from torchreg.cli.output import standard_output
+from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
 from torchreg.errors import expect, positive
-from torchreg.io.atomic import atomic_write, remove_remains
+from torchreg.io.atomic import remove_remains
 from torchreg.settings import PairSettings, declared
 
 _LISTED_FILES = 20  # that do not exist, by name
@@ -228,7 +227,7 @@ def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, boun
                 pairs, store, engine, described=described, bounds=bounds, max_bytes=work.max_bytes, report=report
             )
         except KeyboardInterrupt:
-            done = f"{store.count_finished():,} of {len(pairs):,} pairs are finished"
+            done = f"{len(store.finished()):,} of {len(pairs):,} pairs are finished"
             complain(f"{done}; the same command resumes from there")
             raise
     if counts.before:
@@ -249,7 +248,6 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     seconds = [rows[pair.name].seconds for pair in pairs]
     export(store.folder, lines, seconds)
     summary = summarize(lines, seconds, store.work())
-    with atomic_write(store.folder / "summary.json") as file:
-        file.write((json.dumps(summary.plain(), indent=2, allow_nan=False) + "\n").encode())
+    write_json(store.folder / "summary.json", summary.plain())
     standard_output().print(summary_table(summary))
     return summary.unreadable + summary.broken

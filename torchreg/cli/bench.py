@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchreg.benchmark.core.study import Study, run_study
+from torchreg.benchmark.peers.comparison import ComparisonOptions
 from torchreg.cli import options as opt
+from torchreg.cli.expand import expanded
 from torchreg.cli.guard import GuardedGroup, complain
 from torchreg.cli.output import standard_output
 from torchreg.errors import at_least, expect, positive
@@ -30,20 +33,10 @@ Out = Annotated[
     ),
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="A small part, to see within seconds how it works.")]
-Methods = Annotated[
-    str | None,
-    typer.Option(
-        "--methods",
-        metavar="NAME,NAME",
-        help="Only these: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, gc-ransac, magsac, "
-        "default, fast, thorough, paper, fpfh.",
-    ),
-]
-Scenes = Annotated[str | None, typer.Option("--scenes", metavar="NAME,NAME", help="Only the pairs of these scenes.")]
 Data = Annotated[
     Path, typer.Option("--data", metavar="PATH", help="The list of pairs, or the folder whose pairs.json it is.")
 ]
-Fragments = Annotated[Path, typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes.")]
+Scenes = Annotated[Path, typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes.")]
 Log = Annotated[
     Path | None,
     typer.Option(
@@ -90,17 +83,45 @@ Repeats = Annotated[
 ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ComparisonRun:
+    """Which methods are compared on which scenes, and how they run."""
+
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods",
+            metavar="NAME,NAME",
+            help="Only these: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, gc-ransac, magsac, "
+            "default, fast, thorough, paper, fpfh.",
+        ),
+    ] = None
+    scenes: Annotated[
+        str | None, typer.Option("--scenes", metavar="NAME,NAME", help="Only the pairs of these scenes.")
+    ] = None
+    quick: Quick = False
+    seed: opt.Seed = 0
+    device: opt.DeviceName = opt.Device.cpu
+    threads: opt.Threads = None
+
+    def options(self) -> ComparisonOptions:
+        """The same for a study; sets PyTorch's threads.
+
+        Raises:
+            ValueError: a GPU is asked for and PyTorch finds none.
+        """
+        return ComparisonOptions(
+            methods=_names(self.methods),
+            scenes=_names(self.scenes),
+            quick=self.quick,
+            device=opt.use(self.device, self.threads).type,
+            seed=self.seed,
+        )
+
+
 @bench.command()
-def field(
-    data: Data,
-    out: Out = Path("torchreg_field"),
-    methods: Methods = None,
-    scenes: Scenes = None,
-    quick: Quick = False,
-    seed: opt.Seed = 0,
-    device: opt.DeviceName = opt.Device.cpu,
-    threads: opt.Threads = None,
-) -> None:
+@expanded
+def field(data: Data, run: ComparisonRun, out: Out = Path("torchreg_field")) -> None:
     """Compare torchreg with Open3D, KISS-Matcher and others on real pairs of known truth.
 
     Registration recall by errors and by RMSE, feature-match recall, inlier ratio, RRE in degrees, RTE in meters and
@@ -112,23 +133,17 @@ def field(
     from torchreg.benchmark.field.study import field_study
 
     _expect_folder(out)
-    where = str(opt.use(device, threads))
-    study = field_study(data, methods=_names(methods), scenes=_names(scenes), quick=quick, device=where, seed=seed)
-    _run_and_show(study, out)
+    _run_and_show(field_study(data, run.options()), out)
 
 
 @bench.command("3dmatch")
+@expanded
 def threedmatch(
-    folder: Fragments,
+    folder: Scenes,
+    run: ComparisonRun,
     out: Out = Path("torchreg_3dmatch"),
     log: Log = None,
-    methods: Methods = None,
-    scenes: Scenes = None,
     voxel: Voxel = 0.05,
-    quick: Quick = False,
-    seed: opt.Seed = 0,
-    device: opt.DeviceName = opt.Device.cpu,
-    threads: opt.Threads = None,
 ) -> None:
     """Register the pairs of 3DMatch, 3DLoMatch, Color3DMatch or ETH scenes, and print the tables that papers print.
 
@@ -142,17 +157,7 @@ def threedmatch(
     from torchreg.benchmark.threedmatch.study import fragments_study
 
     _expect_folder(out)
-    where = str(opt.use(device, threads))
-    study = fragments_study(
-        folder,
-        log=log,
-        methods=_names(methods),
-        scenes=_names(scenes),
-        voxel=positive(voxel, "--voxel"),
-        quick=quick,
-        device=where,
-        seed=seed,
-    )
+    study = fragments_study(folder, run.options(), log=log, voxel=positive(voxel, "--voxel"))
     _run_and_show(study, out)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from torchreg.benchmark.core.machine import in_words, machine
 from torchreg.benchmark.core.rows import Row, Rows
 from torchreg.benchmark.core.tables import Table
-from torchreg.io.atomic import atomic_write
+from torchreg.io.atomic import write_text
 
 Report = Callable[[str], None]
 """Takes one line of progress."""
@@ -107,6 +107,5 @@ def run_study(study: Study, out: Path, report: Report = lambda _: None) -> list[
         **study.csv(rows),
     }
     for name, text in files.items():
-        with atomic_write(out / name) as file:
-            file.write(text.encode())
+        write_text(out / name, text)
     return rows
