@@ -72,7 +72,7 @@ def knowing(name, folder, error, log=None):
 
 def result(folder, out, **more):
     """The rows, and the first table (registration recall)."""
-    study = fragments_study(folder, ComparisonOptions(**more), voxel=SPACING)
+    study = fragments_study(folder, voxel=SPACING, **more)
     rows = run_study(study, out)
     return rows, study.shown(rows)[0]
 

@@ -12,7 +12,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.reference import compare
-from torchreg.reference.side_by_side import shared
+from torchreg.reference.comparison import shared
 from torchreg.registration import options_for
 
 PAIR = room_pair(3000, seed=1)

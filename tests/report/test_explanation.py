@@ -23,7 +23,7 @@ from results import (
 
 import torchreg as tr
 from torchreg.report.explain.advice import CLOUD_RULES, FIRST_RULES
-from torchreg.report.text import chance, columns, odds, percent, portion
+from torchreg.report.text import chance, columns, odds, percent, share
 from torchreg.types.failure import KINDS
 
 HEADINGS = ("origin", "support", "by", "chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
@@ -309,7 +309,7 @@ def test_words():
     assert [percent(share) for share in (0, 0.00012, 0.014, 0.1234, 0.9996, 1)] == [
         *("0 %", "0.012 %", "1.4 %", "12.3 %", "100 %", "100 %")
     ]
-    assert portion(0, 0) == "0 of 0"
+    assert share(0, 0) == "0 of 0"
     assert [chance(p) for p in (0.0, 2e-5, 0.5, 0.99996, 1.0, math.nan)] == [
         *("0.000", "2.0e-05", "0.500", "0.99996", "1.000", "-")
     ]

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.facts import FIRM, Facts
-from torchreg.report.text import chance, decimal, meters, odds, percent, portion
+from torchreg.report.text import chance, decimal, meters, odds, percent, share
 from torchreg.solvers import RansacOptions
 
 _MOST = 2
@@ -69,7 +69,7 @@ def _features(facts: Facts) -> str:
     if count >= _FEW_FEATURES * whole:
         return ""
     wider = f"a larger radius of the descriptors (now {meters(facts.radius)})"
-    return f"{wider}: only {portion(count, whole)} points have a feature"
+    return f"{wider}: only {share(count, whole)} points have a feature"
 
 
 def _matches(facts: Facts) -> str:
@@ -101,7 +101,7 @@ def _inliers(facts: Facts) -> str:
         return ""
     if facts.options is None or facts.radius is None:
         return ""
-    agree = f"only {portion(facts.inliers, facts.matches)} matches agree"
+    agree = f"only {share(facts.inliers, facts.matches)} matches agree"
     if facts.options.effort == "thorough":
         wider = f"a larger radius of the descriptors (now {meters(facts.radius)})"
         return f"{wider}, for features that tell more places apart: {agree}"
@@ -143,10 +143,10 @@ def _strength(facts: Facts) -> str:
 
 
 def _conflict(facts: Facts) -> str:
-    share = facts.candidates[0].conflict if facts.candidates else 0.0
-    if not share > _MUCH_CONFLICT:
+    conflict = facts.candidates[0].conflict if facts.candidates else 0.0
+    if not conflict > _MUCH_CONFLICT:
         return ""
-    return f"correct viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
+    return f"correct viewpoints, and clouds without what moved: {percent(conflict)} stand where free space was seen"
 
 
 def _normals(facts: Facts) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from torchreg.report.explain.advice import advice
 from torchreg.report.explain.facts import FIRM, WEAK, Facts, facts_of
-from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, portion
+from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, share
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
 _SHOWN = 6
@@ -73,7 +73,7 @@ def _stages(facts: Facts) -> Iterator[str]:
         within = "" if facts.threshold is None else f" within {meters(facts.threshold)}"
         yield line("Matches", f"{facts.matches:,}")
         yield line("Hypotheses", drawn)
-        yield line("Inliers", f"{portion(facts.inliers, facts.matches)} matches{within}")
+        yield line("Inliers", f"{share(facts.inliers, facts.matches)} matches{within}")
     for note in facts.notes:
         yield line("Note", note)
 
@@ -89,7 +89,7 @@ def _points(stages: StageCounts, facts: Facts) -> Iterator[str]:
     else:
         given += ", used as they are"
     pairs = zip(stages.described, stages.points, strict=True)
-    described = " and ".join(portion(count, whole) for count, whole in pairs)
+    described = " and ".join(share(count, whole) for count, whole in pairs)
     radius = "" if facts.radius is None else f", from {meters(facts.radius)} about each"
     yield line("Points", given)
     yield line("Features", f"{described} have one{radius}")
