@@ -1,4 +1,4 @@
-"""How many wrong matches a solver bears: success and time over the outlier ratio, on problems of known truth.
+"""How many wrong matches a solver tolerates: success and time over the outlier ratio, on problems of known truth.
 
 Run as ``python bench/outliers.py``; writes bench/results/outliers.json, docs/outliers.png
 and docs/benchmarks/outliers.md.
@@ -35,7 +35,7 @@ SECONDS = {2000: 4.0, 20_000: 3.0}
 """Of each solver at each ratio; then no further problem is begun, but some are run in any case."""
 
 LEAST = {"torchreg compatibility": 4}
-"""Problems that are run in any case; two where nothing is said."""
+"""Problems that are run in any case; two for other solvers."""
 
 COLORS = {
     "torchreg compatibility": "#0b6e4f",

@@ -134,7 +134,7 @@ class StageSettings:
     hypotheses: int | None = setting(
         None,
         "Search",
-        f"Largest number of minimal samples that RANSAC draws; by default {_RANSAC.hypotheses:,}.",
+        f"Largest number of minimal samples that the solver ransac draws; by default {_RANSAC.hypotheses:,}.",
         metavar="COUNT",
         change=_solver_field("hypotheses"),
         of_ransac=True,
@@ -142,7 +142,7 @@ class StageSettings:
     confidence: float | None = setting(
         None,
         "Search",
-        "Probability, above 0 up to 1, of having drawn a better sample, at which RANSAC stops drawing; "
+        "Probability, above 0 up to 1, of having drawn a better sample, at which the solver ransac stops drawing; "
         f"1 draws all; by default {_RANSAC.confidence:g}.",
         metavar="PROBABILITY",
         change=_solver_field("confidence"),

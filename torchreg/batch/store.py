@@ -71,7 +71,7 @@ class FinishedPair:
 
 
 class Store:
-    """The folder of one batch, held by one process at a time. To be used as a context.
+    """The folder of one batch, which one process uses at a time. To be used as a context.
 
     Args:
         folder: made where it does not exist; the folder above it must.
@@ -137,7 +137,7 @@ class Store:
         """Write the file of a pair and commit its row.
 
         Raises:
-            OSError: it cannot be written; rows committed before stand.
+            OSError: it cannot be written; rows committed before are kept.
         """
         record = None if row.record is None else json.dumps(row.record, indent=2, allow_nan=False) + "\n"
         self._write_record(pair, record)

@@ -189,13 +189,13 @@ def batch(
 ) -> None:
     """Register every pair of PAIRS, a table with the columns source and target, and keep each as soon as it is done.
 
-    The same command resumes a run that was cut off: no pair is lost, none computed twice beyond those in hand. All
-    lengths are in meters.
+    The same command resumes a run that was cut off: no finished pair is lost or computed again. All lengths are in
+    meters.
 
     DIR holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
 
-    Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, because a
-    cloud could not be read, say; the same command tries these again.
+    Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, for
+    example because a cloud could not be read; the same command tries these again.
     """
     opt.use(work.device, None)
     bounds = pairs.bounds

@@ -1,4 +1,4 @@
-"""``torchreg bench``: measurements that anyone can repeat, each a study that its command fills in."""
+"""``torchreg bench``: measurements that anyone can repeat, one study per command."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from torchreg.report.text import legible
 bench = typer.Typer(
     cls=GuardedGroup,
     no_args_is_help=True,
-    help="Measure: the field on real pairs, 3DMatch, the paper's experiments, speed. Each command writes a folder with "
-    "NAME.md (all tables and pictures), CSV, and NAME.json.",
+    help="Measure torchreg and its peers: on real pairs, on 3DMatch, the paper's experiments, speed. Each command writes "
+    "a folder with NAME.md (all tables and pictures), CSV, and NAME.json.",
 )
 
 Out = Annotated[
@@ -32,9 +32,9 @@ Out = Annotated[
         help="Folder of all results: NAME.md, CSV, NAME.json, pictures. An unfinished run there is resumed.",
     ),
 ]
-Quick = Annotated[bool, typer.Option("--quick", help="A small part, to see within seconds how it works.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Run a small part, within seconds, to see how it works.")]
 Data = Annotated[
-    Path, typer.Option("--data", metavar="PATH", help="The list of pairs, or the folder whose pairs.json it is.")
+    Path, typer.Option("--data", metavar="PATH", help="List of pairs (JSON), or the folder with its pairs.json.")
 ]
 Scenes = Annotated[Path, typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes.")]
 Log = Annotated[
@@ -128,7 +128,7 @@ def field(data: Data, run: ComparisonRun, out: Out = Path("torchreg_field")) -> 
     seconds, by scene and by overlap, with 95 % intervals over the pairs. All methods get the same clouds and lengths.
     A method whose package is not installed is listed as such. --quick takes the pair of every scene that overlaps most.
 
-    Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
+    Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
     from torchreg.benchmark.field.study import field_study
 
@@ -148,11 +148,11 @@ def threedmatch(
     """Register the pairs of 3DMatch, 3DLoMatch, Color3DMatch or ETH scenes, and print the tables that papers print.
 
     Fragments are cloud_bin_0.ply, ... (in ETH scenes Hokuyo_0.ply, ...) in one folder per scene, gt.log and gt.info in
-    it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that do
-    not follow one another, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
+    it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that are
+    not consecutive, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
     --quick takes the first pair of every scene that counts.
 
-    Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
+    Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
     from torchreg.benchmark.threedmatch.study import fragments_study
 
@@ -179,7 +179,7 @@ def paper(
     equalization, on simulated scans and, with --real, on real ones; all lengths in meters. --quick takes a quarter of
     the points and coarse scans.
 
-    Exit code 0: everything is there. 2: bad usage, or a file that cannot be read.
+    Exit code 0: all was measured. 2: bad usage, or a file that cannot be read.
     """
     from torchreg.benchmark.paper.settings import EXPERIMENTS
     from torchreg.benchmark.paper.study import paper_study
@@ -209,7 +209,7 @@ def speed(
     Seconds over numbers of points, neighbors and hypotheses, how they grow (slopes of logarithms), and peak memory;
     torchreg eager and compiled. --quick takes few points and two repeats.
 
-    Exit code 0: everything is there. 2: bad usage.
+    Exit code 0: all was measured. 2: bad usage.
     """
     from torchreg.benchmark.speed.study import speed_study
 

@@ -36,7 +36,7 @@ def result_to_dict(
         result: of B pairs.
         pair: which one, from 0 to B - 1.
         seed: what the registration was run with.
-        source: name of the source cloud, as it should stand in the file.
+        source: name of the source cloud for the file.
         target: name of the target cloud.
 
     Returns:

@@ -33,12 +33,12 @@ class Side:
         T_target_source: (4, 4) float64, meters, origins included.
         success: whether it calls the pair registered.
         reason: why not, or an empty text.
-        notes: what its result says a user should know.
+        notes: of its result, for a user.
         matches: how many correspondences it found.
         inliers: how many of them its transform brings within the inlier threshold.
         fitness: of its transform by Open3D's ``evaluate_registration``; ``None`` where it has none.
         inlier_rmse: likewise, meters.
-        truth: errors against the true transform, where that is known and this one was found.
+        truth: errors against the true transform, where that is known and the pair was registered.
         seconds: of every stage after downsampling, by name, in order.
     """
 
@@ -177,7 +177,7 @@ def compare(
 
 
 def shared(one: Correspondences, other: Correspondences) -> int:
-    """How many matches of one pair stand in both lists."""
+    """How many matches of one pair are in both lists."""
     both = [set(zip(matches.source.tolist(), matches.target.tolist(), strict=True)) for matches in (one, other)]
     return len(both[0] & both[1])
 

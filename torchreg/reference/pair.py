@@ -125,7 +125,7 @@ def _match(outcome: PairOutcome, left: Features, right: Features, *, everything:
 
 @stage("hypotheses")
 def _ransac(outcome: PairOutcome, options: RegistrationOptions) -> None:
-    """Fill in what RANSAC finds, or the reason why it found nothing."""
+    """Fill in the pose of RANSAC, or why there is none."""
     o3d, solver = load_open3d(), options.solver
     ransac = solver if isinstance(solver, RansacOptions) else RansacOptions(inlier_threshold=solver.inlier_threshold)
     source, target = outcome.source, outcome.target

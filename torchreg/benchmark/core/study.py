@@ -24,6 +24,11 @@ class Picture(NamedTuple):
     file: str
     caption: str
 
+    @property
+    def markdown(self) -> str:
+        """The picture, and its caption below it."""
+        return f"![{self.caption}]({self.file})\n\n{self.caption}"
+
 
 class Cell(NamedTuple):
     """One row to measure.
@@ -49,7 +54,7 @@ class Study:
         cells: the rows, in the order of the files.
         settings: what every row depends on; rows of other settings are refused.
         versions: the facts of ``machine`` that every row depends on too.
-        run: what else the JSON file says of the run.
+        run: further facts of the run for the JSON file.
         document: the Markdown document, from rows, pictures, and a line about the machine.
         content: what the JSON file holds, from rows.
         csv: CSV files by name, from rows.

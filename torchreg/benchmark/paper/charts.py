@@ -1,4 +1,4 @@
-"""Charts: the errors of every setting and method, one dot a place, the paper's printed number beside them."""
+"""Charts: the errors of every setting and method, one dot per place, and the paper's printed number."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _printed(ax: Axes, experiment: int, settings: Sequence[str], measure: str) -
 
 
 def _across(place: int, method: str) -> float:
-    """Where a method stands among those of one setting."""
+    """The abscissa of a method among those of one setting."""
     return place + (METHODS.index(method) - (len(METHODS) - 1) / 2) * _BAR
 
 

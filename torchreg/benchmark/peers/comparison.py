@@ -1,4 +1,4 @@
-"""Methods over pairs of known truth: the study, its rows, and what all its documents say."""
+"""Methods compared on pairs of known truth: the study, its rows, and the sections that all its documents have."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ class TruePair:
 
     Attributes:
         name: different for every pair.
-        facts: what its rows say of it besides, ``scene`` among it.
+        facts: further values of its rows, ``scene`` among them.
         read: reads both clouds, not yet downsampled.
         voxel: meters, the voxels that they are averaged over.
-        near: meters; a match is an inlier, and a source point overlaps, where the truth brings it nearer.
+        near: meters; a match is an inlier, and a source point overlaps, where it is nearer to its partner under the
+            truth.
         T_true: (4, 4) float64, meters, origins included.
         information: (6, 6) of the true matches, where it is known.
     """
@@ -112,7 +113,7 @@ def comparison_study(
         options: which of them, and which methods.
         settings: what every row depends on beside the seed and the device.
         title: of the document.
-        caption: what stands above its tables.
+        caption: the text above its tables.
         tables: all of them.
         csv: the numbers in them.
         shown: how many tables a terminal shows.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import torch
 
@@ -13,7 +12,7 @@ from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Cell, Picture, Study
 from torchreg.benchmark.core.timing import interleaved
 from torchreg.benchmark.speed.document import draw, growth_table, markdown, times_table
-from torchreg.benchmark.speed.grid import POINTS, STAGES, TimedCell, cells
+from torchreg.benchmark.speed.grid import POINTS, TimedCell, cells
 from torchreg.benchmark.speed.scene import Scenes
 from torchreg.errors import expect
 
@@ -52,8 +51,8 @@ def speed_study(points: Sequence[int] = POINTS, *, repeats: int = 5, quick: bool
         cells=[Cell(cell.key, cell.key, partial(_measured, cell, scenes, repeats, quick)) for cell in listed],
         settings={"repeats": repeats, "quick": quick},
         versions=("torchreg", "torch", "open3d", "processor", "threads"),
-        document=lambda rows, _, machine: f"# Speed\n\n{markdown(rows)}\n\n{machine}\n",
-        draw=_chart,
+        document=_document,
+        draw=draw,
         shown=lambda rows: [times_table(rows), growth_table(rows)],
     )
 
@@ -75,7 +74,5 @@ def _measured(cell: TimedCell, scenes: Scenes, repeats: int, quick: bool) -> Row
     return row
 
 
-def _chart(rows: Sequence[Row], folder: Path) -> Iterator[Picture]:
-    if any(row["subject"] in STAGES for row in rows):
-        draw(rows, folder / "speed.png")
-        yield Picture(None, "speed.png", "Seconds of every stage over the number of points.")
+def _document(rows: list[Row], pictures: Sequence[Picture], machine: str) -> str:
+    return "\n\n".join(["# Speed", markdown(rows), *(picture.markdown for picture in pictures), machine]) + "\n"
