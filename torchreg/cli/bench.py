@@ -20,8 +20,8 @@ from torchreg.report.text import legible
 bench = typer.Typer(
     cls=GuardedGroup,
     no_args_is_help=True,
-    help="Measure torchreg and its peers: on real pairs, on 3DMatch, the paper's experiments, speed. Each command writes "
-    "a folder with NAME.md (all tables and pictures), CSV, and NAME.json.",
+    help="Measure torchreg and its peers: on real pairs, on 3DMatch, the paper's experiments, speed. Each command "
+    "writes a folder with NAME.md (all tables and pictures), CSV, and NAME.json.",
 )
 
 Out = Annotated[
