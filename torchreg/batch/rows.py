@@ -142,13 +142,7 @@ def row_of(
 def export(folder: Path, lines: Sequence[dict[str, Any]], seconds: Sequence[Mapping[str, float]]) -> None:
     """Write ``results.csv``, ``.json`` and ``.parquet``, and ``times.csv``, each in full or not at all.
 
-    Args:
-        folder: of the batch.
-        lines: of all pairs, in order.
-        seconds: by stage, of all pairs.
-
-    Raises:
-        OSError: one cannot be written.
+    ``lines`` are the rows of the table, ``seconds`` the times by stage, of all pairs in order.
     """
     extra = list(dict.fromkeys(name for line in lines for name in line if name not in COLUMNS))
     names = [*COLUMNS, *extra]

@@ -128,13 +128,8 @@ def _draw_panels(
 ) -> Figure:
     """Draw every column from three sides, all panels of a row to the same scale.
 
-    Args:
-        scene: the clouds.
-        columns: from left to right.
-        reference: (N, 3) the source in the state that decides which slices are cut; the points of the slices
-            are then the same in all columns.
-        title: above all.
-        max_points: of each cloud in one panel.
+    ``reference`` (N, 3) is the source in the state that decides which slices are cut, so that all columns show the
+    same points.
     """
     shown = np.concatenate((reference, scene.target))  # (N + M, 3)
     least = padded(box(shown), _MARGIN)

@@ -31,13 +31,7 @@ _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
 def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[Row]) -> Figure:
-    """RRE, RTE and RMSE of one experiment: a row of panels for each group of places.
-
-    Args:
-        experiment: 1, 2, 3 or 5.
-        groups: from above.
-        rows: measured.
-    """
+    """RRE, RTE and RMSE of experiment 1, 2, 3 or 5: a row of panels for each group of places, the first on top."""
     settings = [setting.name for setting in settings_of(experiment)]
     title = f"Experiment {experiment}: dots are places, bars their median"
     figure = _figure(len(LABELS), len(groups), title, METHODS)

@@ -34,7 +34,7 @@ _SHAPE = 0.8  # of a panel: its height over its width
 
 
 class Shown(NamedTuple):
-    """One row: its heading, the clouds with the target in its initial pose, the truth, and the rows by method."""
+    """A row of panels: heading, clouds with the target in its initial pose, the truth, and the rows by method."""
 
     heading: str
     source: Clouds
@@ -44,12 +44,7 @@ class Shown(NamedTuple):
 
 
 def clouds_figure(settings: Sequence[Shown], title: str) -> Figure:
-    """Draw a row of panels for each setting: the initial pose, and what every method returned.
-
-    Args:
-        settings: from above.
-        title: above all.
-    """
+    """Draw a row of panels for each setting, the first on top: the initial pose, and the pose of every method."""
     kinds = 1 + len(METHODS)
     size = (_WIDTH * kinds + 0.4, _SHAPE * _WIDTH * len(settings) + 1.2)
     figure = blank_figure(size, title, fontsize=12, columns=120)

@@ -87,14 +87,7 @@ def overview(rows: Sequence[Row]) -> Table:
 
 
 def markdown(rows: Sequence[Row], pictures: Sequence[Picture], machine: str, *, quick: bool = False) -> str:
-    """The whole document.
-
-    Args:
-        rows: all of them.
-        pictures: each stands behind the tables of its experiment.
-        machine: the last line.
-        quick: warns that the numbers are not comparable.
-    """
+    """The whole document, ``machine`` its last line; ``quick`` adds a warning that the numbers are not comparable."""
     parts = ["# The paper's experiments", *([QUICK] if quick else []), SETUP, DEVIATIONS]
     real = {group.name for group in GROUPS if group.real}
     parts += [REAL] if any(row["group"] in real for row in errors_of(rows)) else []

@@ -27,12 +27,7 @@ def draw(
 ) -> Iterator[Picture]:
     """Draw and write everything that the rows allow; yields each picture.
 
-    Args:
-        rows: what was measured.
-        folder: where the files go.
-        places: of the run; of each group as in the paper the first one is drawn.
-        experiments: which.
-        size: of the run.
+    Clouds are drawn of the first place of each group that was scanned as in the paper.
     """
     first = {place.group.name: place for place in reversed(places) if place.group.paper}
     for experiment in experiments:
