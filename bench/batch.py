@@ -219,7 +219,7 @@ def count_found(poses: Tensor, truths: list[Tensor], options: tuple[tr.Registrat
     """Pairs within 15 degrees and four inlier thresholds of the truth."""
     T = torch.stack(truths)
     near = tr.metrics.rte(T, poses)
-    bounds = torch.tensor([4 * option.ransac.inlier_threshold for option in options], dtype=torch.float64)
+    bounds = torch.tensor([4 * option.inlier_threshold for option in options], dtype=torch.float64)
     return int(((tr.metrics.rre(T, poses) < 15) & (near < bounds)).sum())
 
 
@@ -264,8 +264,8 @@ def scans() -> tuple[list[tr.Clouds], list[tr.Clouds]]:
 
 def geometry(options: tr.RegistrationOptions, confidence: float) -> tr.RegistrationOptions:
     """The plain procedure on FPFH alone, which Open3D does too."""
-    ransac = replace(options.ransac, confidence=confidence)
-    return replace(options, color=(), color_weights=(), effort="plain", solver="ransac", ransac=ransac)
+    solver = tr.RansacOptions(confidence=confidence, inlier_threshold=options.inlier_threshold)
+    return replace(options.without_color(), effort="plain", solver=solver)
 
 
 def equal_to_single(source: tr.Clouds, target: tr.Clouds, effort: str | None) -> bool:

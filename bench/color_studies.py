@@ -1,4 +1,4 @@
-"""Two studies of the color block: one choice swept at a time, and learned against fixed on scenes held out."""
+"""Two studies of the color block: one choice swept at a time, and learned against fixed on unseen scenes."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Variant:
 PAPER_RULE = Variant()
 
 BETTER_RULE = Variant(equalization="none", channels=("hue", "saturation", "value"))
-"""What a first sweep around the paper's rule found better one by one, swept around in turn."""
+"""The choices that were better one by one in a first sweep around the paper's rule; the center of a second sweep."""
 
 AXES: dict[str, tuple[object, ...]] = {
     "bins": (3, 5, 8, 11, 16, 22, 33),

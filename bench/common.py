@@ -1,16 +1,15 @@
-"""What the benchmarks share: folders, results as JSON, tables into the documents, peak memory, the real pairs."""
+"""What the benchmarks share: folders, results as JSON, tables into the documents, the real pairs."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from torchreg.benchmark.core.machine import in_words, machine
+from torchreg.benchmark.core.memory import peak_bytes, run_python
 from torchreg.benchmark.core.tables import markdown_table as table
 from torchreg.benchmark.core.timing import interleaved, spread
 
@@ -36,21 +35,6 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RESULTS = ROOT / "bench" / "results"
 REAL = ROOT.parent / "shared" / "data" / "real"
-
-_PEAK = """
-import json
-import torch
-import torchreg as tr
-from torchreg.open3d_loader import load_open3d
-load_open3d()
-def status(name):
-    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith(name))
-{make}
-open("/proc/self/clear_refs", "w").write("5")  # the peak counts from here
-before = status("VmRSS")
-{work}
-print(json.dumps({{"bytes": status("VmHWM") - before, **globals().get("more", {{}})}}))
-"""
 
 
 def bench_parser(description: str | None) -> argparse.ArgumentParser:
@@ -86,22 +70,3 @@ def listed_pairs() -> Sequence[dict[str, Any]]:
     if not REAL.exists():
         raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
     return json.loads((REAL / "pairs.json").read_text())["pairs"]
-
-
-def run_python(*arguments: str) -> Any:  # noqa: ANN401
-    """The JSON that another Python process prints last."""
-    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
-def peak_bytes(make: str, work: str) -> dict[str, Any]:
-    """Peak memory of a piece of code in another process.
-
-    Args:
-        make: code that prepares; what it holds is not counted.
-        work: code that is measured. It may put further JSON values into a dict ``more``.
-
-    Returns:
-        ``bytes`` above what the process held before, and the values of ``more``.
-    """
-    return run_python("-c", _PEAK.format(make=make, work=work))

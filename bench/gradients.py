@@ -9,20 +9,29 @@ processes of their own, above clouds and neighborhoods, by pieces as the library
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import torch
-from common import bench_parser, in_words, interleaved, machine, publish, run_python, save, spread, table
+from common import bench_parser, in_words, interleaved, machine, peak_bytes, publish, save, spread, table
 
 import torchreg as tr
-from torchreg.descriptors.soft import rows as pieces
 
 POINTS, SLOTS = 10_000, 100
 NAMES = ("FPFH", "PCFH", "FPFH + PCFH")
+
+MAKE = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import gradients
+run = gradients.runs(*gradients.prepared())["FPFH + PCFH"]["soft, back"]
+"""
+PLAIN = """
+from torchreg.descriptors.soft import rows
+rows._ByRows.call = lambda kernel, _, near, *inputs: rows._whole(kernel, near, *inputs)
+"""
 
 Run = Callable[[], Any]
 
@@ -66,30 +75,10 @@ def compiled(run: Run) -> Run:
     return inside
 
 
-def peak(plain: bool) -> None:
-    """Print the bytes that one soft FPFH + PCFH with its way back takes."""
-    run = runs(*prepared())["FPFH + PCFH"]["soft, back"]
-    if plain:
-        pieces._ByRows.call = lambda kernel, _, near, *inputs: pieces._whole(kernel, near, *inputs)
-
-    def status(name: str) -> int:
-        with open("/proc/self/status") as lines:
-            return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(name))
-
-    with open("/proc/self/clear_refs", "w") as refs:
-        refs.write("5")
-    before = status("VmRSS")
-    run()
-    print(json.dumps(status("VmHWM") - before))
-
-
 def main() -> None:
     parser = bench_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--peak", choices=("pieces", "plain"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.peak:
-        return peak(arguments.peak == "plain")
     lines, content = [], {}
     for name, made in runs(*prepared()).items():
         every = {**made, **{f"{kind}, compiled": compiled(run) for kind, run in made.items()}}
@@ -103,7 +92,7 @@ def main() -> None:
                 [f"{name}{suffix}", *map(spread, kinds), against if suffix else f"{median(kinds[2]) / hard:.1f}"]
             )
             print(lines[-1], flush=True)
-    bytes_ = {kind: run_python(__file__, "--peak", kind) for kind in ("pieces", "plain")}
+    bytes_ = {kind: peak_bytes(MAKE + more, "run()")["bytes"] for kind, more in (("pieces", ""), ("plain", PLAIN))}
     facts = machine()
     last = "forward and back / hard (compiled: eager hard, compiled hard)"
     head = ["10,000 points, 100 neighbors", "hard", "soft", "soft, forward and back", last]
@@ -117,7 +106,6 @@ def main() -> None:
     save("gradients", {"machine": facts, "seconds": content, "bytes": bytes_, "text": text})
     if not arguments.no_docs:
         publish("gradients", text)
-    return None
 
 
 if __name__ == "__main__":

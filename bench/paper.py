@@ -25,7 +25,7 @@ def main() -> None:
     folder = arguments.folder
     run = json.loads((folder / "paper.json").read_text())
     if run["run"]["quick"]:
-        raise SystemExit(f"{folder}: a quick run, whose numbers stand for nothing")
+        raise SystemExit(f"{folder}: a quick run, whose numbers mean nothing")
     cells = summarize(run["errors"])
     lines = [
         {

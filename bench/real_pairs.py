@@ -20,7 +20,7 @@ from torchreg.benchmark.field.document import tables
 from torchreg.benchmark.field.study import field_study
 from torchreg.benchmark.field.summary import summarize
 from torchreg.benchmark.peers import METHODS
-from torchreg.benchmark.peers.comparison import MethodComparison
+from torchreg.benchmark.peers.comparison import ComparisonOptions, MethodComparison
 
 OUT = ROOT / "build" / "field"
 PAGE_TABLES = ("All pairs", "Registration recall by errors")
@@ -36,7 +36,7 @@ def main() -> None:
     if not arguments.saved:
         listed_pairs()
         OUT.parent.mkdir(exist_ok=True)
-        run_study(field_study(REAL, methods=names), OUT, lambda line: print(line, flush=True))
+        run_study(field_study(REAL, ComparisonOptions(methods=names)), OUT, lambda line: print(line, flush=True))
         if names is None:
             shutil.copy(OUT / "field.json", RESULTS / "field.json")
     content = json.loads(((RESULTS if arguments.saved else OUT) / "field.json").read_text())

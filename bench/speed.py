@@ -23,7 +23,7 @@ def main() -> None:
     folder = arguments.folder
     run = json.loads((folder / "speed.json").read_text())
     if run["run"]["quick"]:
-        raise SystemExit(f"{folder}: a quick run, whose numbers stand for nothing")
+        raise SystemExit(f"{folder}: a quick run, whose numbers mean nothing")
     save("speed", run)
     if not arguments.no_docs:
         publish("speed", f"{markdown(run['rows'])}\n\n{in_words(run['machine'])}.")

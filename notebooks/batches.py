@@ -39,9 +39,9 @@ print(f"{len(sources)} clouds, offsets {sources.offsets.tolist()}")
 near = tr.neighbors(sources, radius=1.5, max_neighbors=60)
 described = tr.fpfh(tr.estimate_normals(sources, near), near)
 alone = chosen[3][0]
-own = tr.neighbors(alone, radius=1.5, max_neighbors=60)
+near_alone = tr.neighbors(alone, radius=1.5, max_neighbors=60)
 begin, end = sources.offsets[3], sources.offsets[4]
-same = torch.equal(described.values[begin:end], tr.fpfh(tr.estimate_normals(alone, own), own).values)
+same = torch.equal(described.values[begin:end], tr.fpfh(tr.estimate_normals(alone, near_alone), near_alone).values)
 print(f"the fourth cloud has the same bits alone and in the batch: {same}")
 
 # %% [markdown]

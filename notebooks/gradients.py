@@ -43,7 +43,7 @@ axis.set(xlabel="bandwidth", ylabel="mean difference (percent)", title="soft FPF
 plt.show()
 
 # %% [markdown]
-# ## Which points a descriptor hangs on
+# ## Which points a descriptor depends on
 #
 # The gradient of one point's FPFH with respect to all points: its neighbors, and theirs.
 

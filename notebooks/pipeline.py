@@ -150,5 +150,5 @@ plt.show()
 
 # %%
 whole = tr.register(source, target)
-said = whole.reason[0] or "no doubts"
-print(f"success {bool(whole.success)} with probability {float(whole.probability[0]):.3f}: {said}")
+reason = whole.reason[0] or "no doubts"
+print(f"success {bool(whole.success)} with probability {float(whole.probability[0]):.3f}: {reason}")

@@ -14,7 +14,7 @@ from functools import cache
 from types import NoneType
 from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
 
-from torchreg.errors import at_least, expect, one_of
+from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.registration.options import EFFORTS, LEARNED, PAPER, RegistrationOptions
 from torchreg.registration.spacing import MAX_POINTS, options_for
@@ -58,6 +58,15 @@ def _ransac_field(name: str) -> Change:
     return lambda options, value: replace(options, ransac=replace(options.ransac, **{name: value}))
 
 
+def _radius(name: str, *, of_color: bool) -> Change:
+    def change(options: RegistrationOptions, value: float) -> RegistrationOptions:
+        radius = positive(value, name)
+        changed = (replace(one, radius=radius) if one.needs_colors == of_color else one for one in options.descriptors)
+        return replace(options, descriptors=tuple(changed))
+
+    return change
+
+
 @dataclass(frozen=True, kw_only=True)
 class StageSettings:
     """How clouds are read, described and matched, and how RANSAC solves.
@@ -85,7 +94,8 @@ class StageSettings:
         "default",
         "Lengths",
         "Options to start from. default: every length follows from the spacing of the points. paper: the lengths of "
-        "the paper in meters, for scans of buildings, with FPFH and PCFH of equalized hue.",
+        "the paper in meters, for scans of buildings, with FPFH and PCFH of equalized hue. learned: the same "
+        "with color features that were trained.",
         choices=tuple(PRESETS),
     )
     voxel: float | None = _length(
@@ -97,10 +107,11 @@ class StageSettings:
         _field("normal_radius"), "Support radius of a normal, in meters; by default twice the spacing of the points."
     )
     feature_radius: float | None = _length(
-        _field("feature_radius"), "Support radius of FPFH, in meters; by default 5 times the spacing of the points."
+        _radius("feature_radius", of_color=False),
+        "Support radius of FPFH, in meters; by default 5 times the spacing of the points.",
     )
     color_radius: float | None = _length(
-        _field("color_radius"),
+        _radius("color_radius", of_color=True),
         "Support radius of the color features, in meters; by default 5 times the spacing of the points.",
     )
     inlier_threshold: float | None = _length(
@@ -210,16 +221,16 @@ class Settings(StageSettings):
     effort: str | None = setting(
         None,
         "Search",
-        "Work spent per pair; by default balanced, and plain with the preset paper. plain: one set of features and one "
-        "solver, as in the paper. With the others, candidate poses compete on the clouds themselves, from one set of "
-        "features (fast), two (balanced), or all sets and both solvers (thorough).",
+        "Work spent per pair; by default balanced, and plain with the presets paper and learned. plain: one set of "
+        "features and one solver, as in the paper. With the others, candidate poses compete on the clouds themselves, "
+        "from one set of features (fast), two (balanced), or all sets and both solvers (thorough).",
         choices=EFFORTS,
         change=_field("effort"),
     )
     solver: str | None = setting(
         None,
         "Search",
-        "What turns matches into poses; by default compatibility, and ransac with the preset paper.",
+        "What turns matches into poses; by default compatibility, and ransac with the presets paper and learned.",
         choices=tuple(SOLVERS),
     )
 

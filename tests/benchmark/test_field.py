@@ -14,9 +14,9 @@ import torchreg as tr
 from torchreg.benchmark.core.real_pairs import read_real_pairs
 from torchreg.benchmark.core.study import run_study
 from torchreg.benchmark.field.document import csv_text, tables
-from torchreg.benchmark.field.study import chosen_pairs, field_study
+from torchreg.benchmark.field.study import field_study
 from torchreg.benchmark.field.summary import difference, groups, summarize
-from torchreg.benchmark.peers.comparison import MethodComparison
+from torchreg.benchmark.peers.comparison import ComparisonOptions, MethodComparison
 from torchreg.geometry.se3 import rigid
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -134,15 +134,16 @@ def test_a_cut_off_run_goes_on_where_it_stopped(tmp_path, data, monkeypatch):
     assert before[:-1] == [("a", "pair_0"), ("b", "pair_0"), ("a", "pair_1")]
     assert seen == [("b", "pair_1"), ("a", "pair_2"), ("b", "pair_2")]
     seen.clear()
-    again = run_study(field_study(data, methods=("a",)), out)
+    again = run_study(field_study(data, ComparisonOptions(methods=("a",))), out)
     assert (seen, len(again)) == ([], 3)
     with refuses("--out", "seed 1"):
-        run_study(field_study(data, seed=1), out)
+        run_study(field_study(data, ComparisonOptions(seed=1)), out)
 
 
 def test_scenes_and_quick_runs(data):
-    def names(*scenes, **more):
-        return [pair.name for pair in chosen_pairs(data, *scenes, **more)]
+    def names(scenes=None, quick=False):
+        study = field_study(data, ComparisonOptions(methods=("fast",), scenes=scenes, quick=quick))
+        return [cell.key.removesuffix("/fast") for cell in study.cells]
 
     assert names() == ["pair_0", "pair_1", "pair_2"]
     assert names(quick=True) == ["pair_0", "pair_2"]
@@ -165,7 +166,7 @@ def test_a_pair_of_real_scans(tmp_path):
     if not REAL.is_dir():
         pytest.skip(f"the real pairs are not there: {REAL}")
     names = ("open3d-100k", "fast")
-    study = field_study(REAL, scenes=("redkitchen",), methods=names, quick=True)
+    study = field_study(REAL, ComparisonOptions(scenes=("redkitchen",), methods=names, quick=True))
     rows = run_study(study, tmp_path / "out")
     assert {(row["method"], row["pair"]) for row in rows} == {(name, "redkitchen_19_05") for name in names}
     assert [cells[2:4] for cells in study.shown(rows)[0].rows] == [["1.00", "1.00"]] * 2

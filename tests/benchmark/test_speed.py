@@ -90,7 +90,9 @@ def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
     content = json.loads((out / "speed.json").read_text())
     assert [one["subject"] for one in content["rows"]] == [cell.subject for cell in asked]
     assert (out / "speed.png").stat().st_size > 5000
-    assert "neighbor search" in (out / "speed.md").read_text()
+    text = (out / "speed.md").read_text()
+    assert "neighbor search" in text
+    assert "](speed.png)" in text
     monkeypatch.setattr(studies, "interleaved", lambda *_, **__: pytest.fail("measured again"))
     assert CliRunner().invoke(app, words).exit_code == 0
 

@@ -12,8 +12,9 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.benchmark.core.study import run_study
+from torchreg.benchmark.peers.comparison import ComparisonOptions
 from torchreg.benchmark.threedmatch.protocol import counts, mean_score, pooled_recall, recalled, score
-from torchreg.benchmark.threedmatch.study import chosen_pairs, fragments_study
+from torchreg.benchmark.threedmatch.study import fragments_study
 from torchreg.geometry.se3 import inverse, rigid
 from torchreg.metrics import information_of_matches
 
@@ -159,8 +160,9 @@ def test_a_second_run_measures_nothing_again(tmp_path, folder, monkeypatch):
 
 
 def test_scenes_and_quick_runs(folder):
-    def names(scenes=None, **more):
-        return [pair.name for pair in chosen_pairs(tr.datasets.Fragments(folder), scenes, 0.05, **more)]
+    def names(scenes=None, quick=False):
+        study = fragments_study(folder, ComparisonOptions(methods=("fast",), scenes=scenes, quick=quick))
+        return [cell.key.removesuffix("/fast") for cell in study.cells]
 
     assert len(names()) == 6
     assert names(quick=True) == ["7-scenes-redkitchen__cloud_bin_2__cloud_bin_0", "other__cloud_bin_2__cloud_bin_0"]

@@ -390,21 +390,21 @@ def test_a_description_that_is_damaged_is_made_again(batch, project, tmp_path):
 
 
 def test_a_full_disk_ends_the_run_and_what_is_finished_stands(batch, project, tmp_path, monkeypatch):
-    write, left = store_module.atomic_write, [2]
+    write, left = store_module.write_text, [2]
 
-    def writes_until_full(path):
+    def writes_until_full(path, text):
         if "pairs" in Path(path).parts[-2]:
             left[0] -= 1
             if left[0] < 0:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        return write(path)
+        return write(path, text)
 
-    monkeypatch.setattr(store_module, "atomic_write", writes_until_full)
+    monkeypatch.setattr(store_module, "write_text", writes_until_full)
     stopped = batch(project.table)
     assert stopped.exit_code == 2
     assert "No space left" in stopped.stderr
     assert len(rows_of_database(tmp_path / "out")) == 2
-    monkeypatch.setattr(store_module, "atomic_write", write)
+    monkeypatch.setattr(store_module, "write_text", write)
     assert batch(project.table).exit_code == 0
     assert rows_of_database(tmp_path / "out", "runs") == [(1,), (1,), (1,)]
 

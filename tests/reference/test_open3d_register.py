@@ -47,6 +47,16 @@ def test_fused_features_give_the_matches_of_torchreg():
     assert torch.allclose(ours.score.double(), theirs.score, atol=1e-5)
 
 
+def test_fpfh_has_its_own_support_whatever_other_descriptors_have():
+    alone = replace(OPTIONS, descriptors=(tr.Fpfh(radius=0.8, max_neighbors=30),), weights=(1.0,))
+    others = (tr.Contrast(radius=1.5, max_neighbors=100), *alone.descriptors)
+    results = [
+        open3d.register(PAIR.source, PAIR.target, options)
+        for options in (alone, replace(alone, descriptors=others, weights=(1.0, 1.0)))
+    ]
+    assert torch.equal(results[0].correspondences.score, results[1].correspondences.score)
+
+
 def test_options_are_derived_as_torchreg_derives_them():
     result = open3d.register(PAIR.source, PAIR.target)
     assert result.options == tr.derive_options(PAIR.source, PAIR.target)

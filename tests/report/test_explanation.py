@@ -23,7 +23,7 @@ from results import (
 
 import torchreg as tr
 from torchreg.report.explain.advice import CLOUD_RULES, FIRST_RULES
-from torchreg.report.text import chance, columns, odds, percent, portion
+from torchreg.report.text import chance, columns, odds, percent, share
 from torchreg.types.failure import KINDS
 
 HEADINGS = ("origin", "support", "by", "chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
@@ -200,7 +200,7 @@ ADVICE = {
     "few given": ("too few points", {"stages": few(given=(3, 9), points=(3, 9))}, "denser clouds", "3 points"),
     "few features": (
         *("too few matches", {"stages": few(described=(3000, 9950))}),
-        *("larger feature_radius (now 0.25 m)", "3,000 of 9,812 (30.6 %)"),
+        *("larger radius of the descriptors (now 0.25 m)", "3,000 of 9,812 (30.6 %)"),
     ),
     "few matches": ("too few matches", {"stages": few(proposals=MATCHES)}, 'effort="thorough"', "only 40 matches"),
     "all effort": (
@@ -226,7 +226,12 @@ ADVICE = {
     "color off": ("ambiguous", {"options": options(color=())}, "descriptors of color", "geometry alone"),
     "viewpoint": ("ambiguous", {"source": NO_VIEWPOINT}, "viewpoint", "no viewpoint for the source"),
     "unknown viewpoint": ("ambiguous", {"target": UNKNOWN_VIEWPOINT}, "viewpoint", "no viewpoint for the target"),
-    "context": ("ambiguous", {"margin": number(0.5)}, "feature_radius (now 0.25 m) or voxel_size", "about 1.6 to 1"),
+    "context": (
+        "ambiguous",
+        {"margin": number(0.5)},
+        "radius of the descriptors (now 0.25 m) or voxel_size",
+        "about 1.6 to 1",
+    ),
     "sliding": ("sliding", {"strength": number(0.01)}, "larger scans", "strength 0.01"),
     "overlap": ("little overlap", {"overlap": number(0.083)}, "nearer to each other", "8.3 %"),
     "conflict": ("free-space conflict", {"candidates": ((candidate(conflict=0.3),),)}, "viewpoints", "30 %"),
@@ -251,7 +256,7 @@ def test_without_the_figure_the_advice_is_not_given(which):
 
 
 def test_a_success_that_is_not_likely_gets_advice():
-    assert "feature_radius" in advice(verified_result(probability=number(0.6), margin=number(0.4)))
+    assert "radius of the descriptors" in advice(verified_result(probability=number(0.6), margin=number(0.4)))
     assert "nothing needs" in advice(verified_result(probability=number(0.95), margin=number(0.4)))
 
 
@@ -304,7 +309,7 @@ def test_words():
     assert [percent(share) for share in (0, 0.00012, 0.014, 0.1234, 0.9996, 1)] == [
         *("0 %", "0.012 %", "1.4 %", "12.3 %", "100 %", "100 %")
     ]
-    assert portion(0, 0) == "0 of 0"
+    assert share(0, 0) == "0 of 0"
     assert [chance(p) for p in (0.0, 2e-5, 0.5, 0.99996, 1.0, math.nan)] == [
         *("0.000", "2.0e-05", "0.500", "0.99996", "1.000", "-")
     ]

@@ -1,4 +1,4 @@
-"""What runs the work of a batch, what comes of each piece of work, and how far the batch is."""
+"""What an engine of a batch does, the outcome of each piece of work, and the progress of a batch."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What comes of one item.
+    """The result of the work on one item, or why there is none.
 
     Attributes:
         value: the result; ``None`` beside a reason.
@@ -41,11 +41,13 @@ class Outcome(NamedTuple):
 
 
 class Engine(Protocol):
-    """Runs a job over items, in any order, a bounded number of them at a time."""
+    """Runs a job over items, in any order, a bounded number of them at a time.
 
-    @property
-    def device(self) -> str:
-        """Where it computes."""
+    Attributes:
+        device: where it computes.
+    """
+
+    device: str
 
     @property
     def workers(self) -> int:

@@ -43,13 +43,8 @@ class LocalEngine:
 
     def __init__(self, workers: int | None = None, device: str = "cpu") -> None:
         self._processes = cores() if workers is None else at_least(workers, "workers", 0)
-        self._device = device
+        self.device = device
         self._in_workers = torch.device(device).type == "cpu"
-
-    @property
-    def device(self) -> str:
-        """Where it computes."""
-        return self._device
 
     @property
     def workers(self) -> int:
@@ -57,7 +52,7 @@ class LocalEngine:
         return max(1, self._processes)
 
     def close(self) -> None:
-        """There is nothing to give back: workers end with each job."""
+        """Do nothing: workers end with each job."""
 
     def run(self, job: Job, items: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
         """As ``Engine``'s."""
@@ -87,19 +82,19 @@ class LocalEngine:
                     yield place, Outcome(None, f"{_DIED} ({error})", expected=False)
 
     def _some(self, job: Job, items: list[tuple[int, Any]], *, alone: bool) -> Iterator[tuple[int, Outcome]]:
-        do = partial(load_and_compute, job, self._device) if self._in_workers else partial(attempt, job.load)
+        do = partial(load_and_compute, job, self.device) if self._in_workers else partial(attempt, job.load)
         processes = min(self._processes, 1 if alone else len(items))
         given = dict(items)
         for place, outcome in _loaded(do, items, processes):
             if self._in_workers or outcome.reason:
                 yield place, outcome
             else:
-                made = attempt(job.compute, given[place], outcome.value, self._device)
+                made = attempt(job.compute, given[place], outcome.value, self.device)
                 yield place, made._replace(seconds=outcome.seconds + made.seconds)
 
 
 class _Work(Dataset[tuple[int, Outcome]]):
-    """Items are handed over in place of their numbers, so that workers hold those in progress and not all."""
+    """A data set whose sampler hands over the items themselves, so that workers hold those in progress and not all."""
 
     def __init__(self, do: Any) -> None:  # noqa: ANN401
         self._do = do
@@ -110,7 +105,7 @@ class _Work(Dataset[tuple[int, Outcome]]):
 
 
 def _loaded(do: Any, items: list[tuple[int, Any]], processes: int) -> Iterator[tuple[int, Outcome]]:  # noqa: ANN401
-    """Every item once, by that many processes, as they are ready."""
+    """Work on every item once, in that many processes; yield the outcomes as they are ready."""
     work = _Work(do)
     if processes == 0:
         yield from map(work.__getitem__, items)

@@ -52,8 +52,8 @@ def missing_descriptions(items: Sequence[PairItem]) -> list[DescribeItem]:
 
 
 def slices_of(items: Sequence[PairItem], workers: int, max_bytes: int) -> list[Slice]:
-    """Pairs that may go together, as many as the memory of one worker allows; the largest slices first, so that the
-    workers end at about the same time."""
+    """Pairs that may go together, as many as fit in the memory of one worker; large slices first, so that all workers
+    end at about the same time."""
     alike: dict[object, list[PairItem]] = {}
     for item in items:
         key = (besides_lengths(item.options), item.colored, item.pair.settings.seed)

@@ -41,7 +41,7 @@ class RayEngine:
             raise ValueError('engine: expected Ray, which pip install "torchreg-pointcloud[ray]" brings') from None
         if address is not None:
             _expect_answer(address)
-        self._ray, self._device = ray, device
+        self._ray, self.device = ray, device
         self._started = not ray.is_initialized()
         if self._started:
             started: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
@@ -51,11 +51,6 @@ class RayEngine:
                 raise ValueError(f"address: expected a cluster that answers, got {address!r}: {error}") from None
         gpus = 0 if device == "cpu" else 1
         self._task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=_RETRIES)(load_and_compute)
-
-    @property
-    def device(self) -> str:
-        """Where it computes."""
-        return self._device
 
     @property
     def workers(self) -> int:
@@ -72,7 +67,7 @@ class RayEngine:
                     place = next(waiting, None)
                     if place is None:
                         break
-                    handed[self._task.remote(job, self._device, items[place])] = place
+                    handed[self._task.remote(job, self.device, items[place])] = place
                 if not handed:
                     return
                 ready, _ = self._ray.wait(list(handed), num_returns=1)
@@ -97,11 +92,7 @@ class RayEngine:
 
 
 def _expect_answer(address: str) -> None:
-    """Check within seconds whether anything listens at HOST:PORT; Ray itself asks for minutes.
-
-    Raises:
-        ValueError: nothing does.
-    """
+    """Refuse an address HOST:PORT at which nothing listens, within seconds; Ray itself asks for minutes."""
     host, mark, port = address.removeprefix("ray://").rpartition(":")
     if not mark or not port.isdigit():  # such as "auto", which Ray looks up
         return

@@ -13,13 +13,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import torch
 
 from torchreg.batch.pairs import Pair
 from torchreg.io import result_to_dict
-from torchreg.io.atomic import atomic_write
+from torchreg.io.atomic import atomic_write, write_text
 from torchreg.metrics import pose_errors
 from torchreg.types import Clouds, RegistrationResult
 
@@ -28,6 +28,8 @@ REGISTERED, REFUSED, UNREADABLE, BROKEN = "registered", "refused", "unreadable",
 
 RETRIED = (UNREADABLE, BROKEN)
 """States that the next run of the same batch tries again."""
+
+_AS_IN_RECORD = ("reason", "probability", "margin", "fitness", "inlier_rmse", "overlap", "strength")
 
 
 class Bounds(NamedTuple):
@@ -115,8 +117,7 @@ def row_of(
     truth, failure = _errors(pair, result, b, source, bounds), result.failure[b]
     counts: Any = record["counts"]
     known = {
-        **{name: record[name] for name in ("reason", "probability", "margin", "fitness", "inlier_rmse")},
-        **{name: record[name] for name in ("overlap", "strength")},
+        **{name: record[name] for name in _AS_IN_RECORD},
         "success": success,
         "state": REGISTERED if success else REFUSED,
         "T_target_source": result.T_target_source[b].flatten().tolist() if success else None,
@@ -127,42 +128,31 @@ def row_of(
         "used_source": stages.points[0],
         "used_target": stages.points[1],
         "voxel_size": options.voxel_size,
-        "inlier_threshold": options.ransac.inlier_threshold,
+        "inlier_threshold": options.inlier_threshold,
         "effort": options.effort,
         "notes": "; ".join(result.notes[b]),
         "failure": None if failure is None else failure.kind,
         **truth,
     }
     record |= {"name": pair.name, "seconds": share, "truth": truth or None, "settings": pair.settings.flat()}
-    return Row(
-        name=pair.name,
-        state=known["state"],
-        table=_line(pair, known),
-        seconds=share,
-        record=record,
-        digests=digests,
-    )
+    line = _line(pair, known)
+    return Row(name=pair.name, state=known["state"], table=line, seconds=share, record=record, digests=digests)
 
 
 def export(folder: Path, lines: Sequence[dict[str, Any]], seconds: Sequence[Mapping[str, float]]) -> None:
     """Write ``results.csv``, ``.json`` and ``.parquet``, and ``times.csv``, each in full or not at all.
 
-    Args:
-        folder: of the batch.
-        lines: of all pairs, in order.
-        seconds: by stage, of all pairs.
-
-    Raises:
-        OSError: one cannot be written.
+    ``lines`` are the rows of the table, ``seconds`` the times by stage, of all pairs in order.
     """
     extra = list(dict.fromkeys(name for line in lines for name in line if name not in COLUMNS))
     names = [*COLUMNS, *extra]
     stages = list(dict.fromkeys(stage for one in seconds for stage in one))
     times = [{"name": line["name"], **one} for line, one in zip(lines, seconds, strict=True)]
-    _write(folder / "results.csv", _csv(names, lines).encode())
-    _write(folder / "results.json", (json.dumps(list(lines), indent=1, allow_nan=False) + "\n").encode())
-    _write(folder / "results.parquet", _parquet(names, lines))
-    _write(folder / "times.csv", _csv(["name", *stages], times).encode())
+    write_text(folder / "results.csv", _csv(names, lines))
+    write_text(folder / "results.json", json.dumps(list(lines), indent=1, allow_nan=False) + "\n")
+    with atomic_write(folder / "results.parquet") as file:
+        _write_parquet(file, names, lines)
+    write_text(folder / "times.csv", _csv(["name", *stages], times))
 
 
 def _line(pair: Pair, known: dict[str, Any]) -> dict[str, Any]:
@@ -187,15 +177,10 @@ def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, boun
     if not (bool(result.success[b]) or posed) or len(source.points) == 0:
         return {"found": False}
     errors = pose_errors(source, T_true, T)
-    meters = 4 * result.options[b].ransac.inlier_threshold if bounds.meters is None else bounds.meters
+    meters = 4 * result.options[b].inlier_threshold if bounds.meters is None else bounds.meters
     found = errors.rre_degrees < bounds.degrees and errors.rte_meters < meters
     plain = {name: value if math.isfinite(value) else None for name, value in errors._asdict().items()}
     return {"found": found, **plain}
-
-
-def _write(path: Path, content: bytes) -> None:
-    with atomic_write(path) as file:
-        file.write(content)
 
 
 def _csv(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> str:
@@ -212,7 +197,7 @@ def _cell(value: Any) -> Any:  # noqa: ANN401
     return " ".join(map(repr, value)) if isinstance(value, list) else value
 
 
-def _parquet(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> bytes:
+def _write_parquet(file: BinaryIO, names: Sequence[str], lines: Sequence[dict[str, Any]]) -> None:
     import pyarrow
     from pyarrow import parquet
 
@@ -225,6 +210,4 @@ def _parquet(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> bytes:
     }
     schema = pyarrow.schema([(name, kinds[COLUMNS.get(name, "text")]) for name in names])
     columns = {name: [line.get(name) for line in lines] for name in names}
-    content = io.BytesIO()
-    parquet.write_table(pyarrow.table(columns, schema=schema), content)
-    return content.getvalue()
+    parquet.write_table(pyarrow.table(columns, schema=schema), file)

@@ -27,7 +27,7 @@ class RunCounts(NamedTuple):
     """How many pairs and clouds a run worked on.
 
     Attributes:
-        before: pairs that were finished before and stand.
+        before: pairs that were finished before and whose results are kept.
         now: pairs that were registered, or failed, in this run.
         described: clouds that were described in this run.
         reused: descriptions that were there already.
@@ -68,7 +68,7 @@ def run(
 
     Raises:
         ValueError: two pairs of one name, or a finished pair that was written differently then.
-        OSError: nothing can be written any more; what was finished stands.
+        OSError: nothing can be written any more; finished pairs are kept.
     """
     twice = [name for name, count in Counter(pair.name for pair in pairs).items() if count > 1]
     expect(not twice, "pairs", "a name of its own for every pair", twice)
@@ -83,9 +83,9 @@ def run(
     lost = _describe(missing, len(wanted), store, engine, report)
 
     again = {pair.name for pair, _ in todo.failed} | {item.pair.name for item in todo.items}
-    stand = [pair.name for pair in pairs if pair.name not in again]
-    failures = sum(not finished[name].line["success"] for name in stand)
-    tally = _Tally(store, BatchProgress("register", len(stand), len(pairs), failures), report)
+    kept = [pair.name for pair in pairs if pair.name not in again]
+    failures = sum(not finished[name].line["success"] for name in kept)
+    tally = _Tally(store, BatchProgress("register", len(kept), len(pairs), failures), report)
     for pair, outcome in todo.failed:
         tally.fail(pair, outcome)
     left: list[PairItem] = []
@@ -96,7 +96,7 @@ def run(
         else:
             tally.fail(item.pair, missed)
     _register(left, engine, share, tally)
-    return RunCounts(len(stand), len(again), len(missing) - len(lost), len(wanted) - len(missing), todo.changed)
+    return RunCounts(len(kept), len(again), len(missing) - len(lost), len(wanted) - len(missing), todo.changed)
 
 
 class _Todo(NamedTuple):
@@ -141,11 +141,7 @@ def _todo(
 
 
 def _expect_same_pairs(pairs: Sequence[Pair], finished: Mapping[str, FinishedPair]) -> None:
-    """Refuse pairs whose finished row was written differently; one that failed may be corrected.
-
-    Raises:
-        ValueError: a pair differs; the message names it.
-    """
+    """Refuse a pair whose finished row was written differently; one that failed may be corrected."""
     for pair in pairs:
         row = finished.get(pair.name)
         if row is None or row.state in RETRIED:

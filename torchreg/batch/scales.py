@@ -30,11 +30,9 @@ class Scale(NamedTuple):
 
 
 def shared_scales(alone: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> dict[Key, Scale]:
-    """The scale that each cloud shares with those that it belongs to; clouds with at most one partner are left out.
+    """The scale that each cloud shares with those that it is linked to; clouds with at most one partner are left out.
 
-    Args:
-        alone: the scale of every cloud by itself.
-        pairs: the clouds that are registered with each other.
+    ``alone`` has the scale of every cloud by itself, ``pairs`` the clouds that are registered with each other.
     """
     shared: dict[Key, Scale] = {}
     for linked in _components(alone, pairs):

@@ -25,7 +25,7 @@ from torchreg.batch.clouds import CloudMeasures, CloudSource
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row
 from torchreg.errors import expect
-from torchreg.io.atomic import atomic_write, remove_remains
+from torchreg.io.atomic import remove_remains, write_text
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS pairs (
@@ -45,7 +45,6 @@ INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UP
     line = excluded.line, seconds = excluded.seconds, record = excluded.record,
     finished = excluded.finished, runs = runs + 1
 """
-
 
 _FINISHED = "SELECT name, state, said, options, digests, line, seconds FROM pairs"
 
@@ -72,7 +71,7 @@ class FinishedPair:
 
 
 class Store:
-    """The folder of one batch, held by one process at a time. To be used as a context.
+    """The folder of one batch, which one process uses at a time. To be used as a context.
 
     Args:
         folder: made where it does not exist; the folder above it must.
@@ -86,26 +85,21 @@ class Store:
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
         self.folder = folder
-        self._open(manifest)
-
-    def _open(self, manifest: Mapping[str, Any]) -> None:
-        expect(self.folder.absolute().parent.is_dir(), "out", "a folder in one that exists", str(self.folder))
-        expect(not self.folder.exists() or self.folder.is_dir(), "out", "a folder", f"the file {self.folder}")
-        known = self.folder / "run.json"
-        if self.folder.is_dir() and not known.exists():
+        expect(folder.absolute().parent.is_dir(), "out", "a folder in one that exists", str(folder))
+        expect(not folder.exists() or folder.is_dir(), "out", "a folder", f"the file {folder}")
+        known = folder / "run.json"
+        if folder.is_dir() and not known.exists():
             # a run that was killed at once may have left a lock or a part of run.json
-            others = sorted(path.name for path in self.folder.iterdir() if not path.name.startswith("."))
+            others = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
             if others:
                 some = ", ".join(others[:3])
-                raise ValueError(f"out: expected an empty folder, or one of a batch, got {self.folder} with {some}")
-        self.folder.mkdir(exist_ok=True)
-        self._lock = FileLock(self.folder / ".lock")
+                raise ValueError(f"out: expected an empty folder, or one of a batch, got {folder} with {some}")
+        folder.mkdir(exist_ok=True)
+        self._lock = FileLock(folder / ".lock")
         try:
             self._lock.acquire(timeout=0)
         except Timeout:
-            raise ValueError(
-                f"out: expected a folder without a run at work, got {self.folder}, which has one"
-            ) from None
+            raise ValueError(f"out: expected a folder without a run at work, got {folder}, which has one") from None
         try:
             self._begin(known, manifest)
         except BaseException:
@@ -116,8 +110,7 @@ class Store:
         if known.exists():
             _expect_same_run(known, manifest)
         else:
-            with atomic_write(known) as file:
-                file.write((json.dumps(manifest, indent=2) + "\n").encode())
+            write_text(known, json.dumps(manifest, indent=2) + "\n")
         (self.folder / "pairs").mkdir(exist_ok=True)
         for folder in (self.folder, self.folder / "pairs"):
             remove_remains(folder)
@@ -140,30 +133,17 @@ class Store:
         """The pairs that have a row, by name."""
         return {row["name"]: FinishedPair(row) for row in self._rows(_FINISHED)}
 
-    def count_finished(self) -> int:
-        """How many pairs have a row."""
-        count: int = self._rows("SELECT COUNT(*) AS count FROM pairs")[0]["count"]
-        return count
-
     def finish(self, pair: Pair, row: Row, options: str) -> None:
         """Write the file of a pair and commit its row.
 
         Raises:
-            OSError: it cannot be written; rows committed before stand.
+            OSError: it cannot be written; rows committed before are kept.
         """
         record = None if row.record is None else json.dumps(row.record, indent=2, allow_nan=False) + "\n"
         self._write_record(pair, record)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        values = (
-            row.name,
-            row.state,
-            pair.text,
-            options,
-            *map(json.dumps, (row.digests, row.table, row.seconds)),
-            record,
-            now,
-        )
-        self._commit(_FINISH, [values])
+        texts = map(json.dumps, (row.digests, row.table, row.seconds))
+        self._commit(_FINISH, (row.name, row.state, pair.text, options, *texts, record, now))
 
     def mend_records(self, pairs: Sequence[Pair]) -> None:
         """Write the files of finished pairs again that are missing or have been changed."""
@@ -174,13 +154,12 @@ class Store:
                 self._write_record(pair, records[pair.name])
 
     def _write_record(self, pair: Pair, record: str | None) -> None:
-        """A pair's file, where it is not as it should be."""
+        """Write or remove a pair's file, where it is not as it should be."""
         path = self.folder / "pairs" / f"{pair.file_name}.json"
         if record is None:
             path.unlink(missing_ok=True)  # of an earlier run, when the clouds were others
         elif not path.is_file() or path.read_bytes() != record.encode():
-            with atomic_write(path) as file:
-                file.write(record.encode())
+            write_text(path, record)
 
     def measures(self) -> dict[tuple[CloudSource, float | None], tuple[str, CloudMeasures]]:
         """The measures of clouds, each behind the stamp that its file had then."""
@@ -195,14 +174,14 @@ class Store:
     def keep_measures(self, source: CloudSource, voxel: float | None, stamp: str, measures: CloudMeasures) -> None:
         """Keep the measures of a cloud in place of earlier ones."""
         values = (json.dumps(source), json.dumps(voxel), stamp, json.dumps(measures))
-        self._commit("INSERT OR REPLACE INTO clouds VALUES (?, ?, ?, ?)", [values])
+        self._commit("INSERT OR REPLACE INTO clouds VALUES (?, ?, ?, ?)", values)
 
     def add_work(self, stage: str, seconds: float) -> None:
         """Count seconds of work that belongs to no single pair."""
         command = (
             "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds"
         )
-        self._commit(command, [(stage, seconds)])
+        self._commit(command, (stage, seconds))
 
     def work(self) -> dict[str, float]:
         """Seconds of work that belongs to no single pair, by stage."""
@@ -213,9 +192,9 @@ class Store:
         with self._database_errors(), closing(self._database.execute(query)) as rows:
             return list(rows)
 
-    def _commit(self, command: str, values: Sequence[tuple[Any, ...]]) -> None:
+    def _commit(self, command: str, values: tuple[Any, ...]) -> None:
         with self._database_errors(), self._database:
-            self._database.executemany(command, values)
+            self._database.execute(command, values)
 
     @contextmanager
     def _database_errors(self) -> Iterator[None]:
@@ -233,11 +212,7 @@ def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 
 
 def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
-    """Refuse a run of other settings than the one that began a folder.
-
-    Raises:
-        ValueError: something differs, which the message names, or the file is no manifest.
-    """
+    """Refuse a run of other settings than the one that began a folder; the message names what differs."""
     try:
         then = json.loads(known.read_text())
         expect(isinstance(then, dict), str(known), "the options of a run", then)

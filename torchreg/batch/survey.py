@@ -112,7 +112,7 @@ def options_of_pairs(
             lost[alone[place].name] = outcome
         else:
             options[alone[place].name] = outcome.value
-    return {pair.name: _changed(pair, options[pair.name]) for pair in pairs if pair.name in options}, lost
+    return {pair.name: pair.settings.over(options[pair.name]) for pair in pairs if pair.name in options}, lost
 
 
 def lengths_stand_alone(pair: Pair, survey: Survey) -> bool:
@@ -136,13 +136,8 @@ def _is_thinned_alone(pair: Pair, survey: Survey) -> bool:
     return large and pair.settings.voxel is None and lengths_stand_alone(pair, survey)
 
 
-def _changed(pair: Pair, options: RegistrationOptions) -> RegistrationOptions:
-    """The options with the settings of the pair in their place."""
-    return pair.settings.over(options)
-
-
 def _effort(pair: Pair) -> str:
-    return "balanced" if pair.settings.effort is None else pair.settings.effort
+    return pair.settings.effort or "balanced"
 
 
 def _needs_scale(pair: Pair) -> bool:

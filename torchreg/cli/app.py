@@ -44,6 +44,6 @@ def torchreg(
 ) -> None:
     """Register colored point clouds without a first guess: geometric and color features, mutual matches, robust poses.
 
-    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed; those of
-    batch stand in its help.
+    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed; for
+    those of batch see its help.
     """

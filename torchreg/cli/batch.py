@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from dataclasses import dataclass
 from enum import Enum
@@ -19,10 +18,10 @@ from torchreg.batch.summary import summarize
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
-from torchreg.cli.output import standard_output
+from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
 from torchreg.errors import expect, positive
-from torchreg.io.atomic import atomic_write, remove_remains
+from torchreg.io.atomic import remove_remains
 from torchreg.settings import PairSettings, declared
 
 _LISTED_FILES = 20  # that do not exist, by name
@@ -190,13 +189,13 @@ def batch(
 ) -> None:
     """Register every pair of PAIRS, a table with the columns source and target, and keep each as soon as it is done.
 
-    The same command resumes a run that was cut off: no pair is lost, none computed twice beyond those in hand. All
-    lengths are in meters.
+    The same command resumes a run that was cut off: no finished pair is lost or computed again. All lengths are in
+    meters.
 
     DIR holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
 
-    Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, because a
-    cloud could not be read, say; the same command tries these again.
+    Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, for
+    example because a cloud could not be read; the same command tries these again.
     """
     opt.use(work.device, None)
     bounds = pairs.bounds
@@ -228,7 +227,7 @@ def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, boun
                 pairs, store, engine, described=described, bounds=bounds, max_bytes=work.max_bytes, report=report
             )
         except KeyboardInterrupt:
-            done = f"{store.count_finished():,} of {len(pairs):,} pairs are finished"
+            done = f"{len(store.finished()):,} of {len(pairs):,} pairs are finished"
             complain(f"{done}; the same command resumes from there")
             raise
     if counts.before:
@@ -249,7 +248,6 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     seconds = [rows[pair.name].seconds for pair in pairs]
     export(store.folder, lines, seconds)
     summary = summarize(lines, seconds, store.work())
-    with atomic_write(store.folder / "summary.json") as file:
-        file.write((json.dumps(summary.plain(), indent=2, allow_nan=False) + "\n").encode())
+    write_json(store.folder / "summary.json", summary.plain())
     standard_output().print(summary_table(summary))
     return summary.unreadable + summary.broken

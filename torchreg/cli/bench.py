@@ -1,14 +1,17 @@
-"""``torchreg bench``: measurements that anyone can repeat, each a study that its command fills in."""
+"""``torchreg bench``: measurements that anyone can repeat, one study per command."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchreg.benchmark.core.study import Study, run_study
+from torchreg.benchmark.peers.comparison import ComparisonOptions
 from torchreg.cli import options as opt
+from torchreg.cli.expand import expanded
 from torchreg.cli.guard import GuardedGroup, complain
 from torchreg.cli.output import standard_output
 from torchreg.errors import at_least, expect, positive
@@ -17,8 +20,8 @@ from torchreg.report.text import legible
 bench = typer.Typer(
     cls=GuardedGroup,
     no_args_is_help=True,
-    help="Measure: the field on real pairs, 3DMatch, the paper's experiments, speed. Each command writes a folder with "
-    "NAME.md (all tables and pictures), CSV, and NAME.json.",
+    help="Measure torchreg and its peers: on real pairs, on 3DMatch, the paper's experiments, speed. Each command "
+    "writes a folder with NAME.md (all tables and pictures), CSV, and NAME.json.",
 )
 
 Out = Annotated[
@@ -29,21 +32,11 @@ Out = Annotated[
         help="Folder of all results: NAME.md, CSV, NAME.json, pictures. An unfinished run there is resumed.",
     ),
 ]
-Quick = Annotated[bool, typer.Option("--quick", help="A small part, to see within seconds how it works.")]
-Methods = Annotated[
-    str | None,
-    typer.Option(
-        "--methods",
-        metavar="NAME,NAME",
-        help="Only these: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, gc-ransac, magsac, "
-        "default, fast, thorough, paper, fpfh.",
-    ),
-]
-Scenes = Annotated[str | None, typer.Option("--scenes", metavar="NAME,NAME", help="Only the pairs of these scenes.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Run a small part, within seconds, to see how it works.")]
 Data = Annotated[
-    Path, typer.Option("--data", metavar="PATH", help="The list of pairs, or the folder whose pairs.json it is.")
+    Path, typer.Option("--data", metavar="PATH", help="List of pairs (JSON), or the folder with its pairs.json.")
 ]
-Fragments = Annotated[Path, typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes.")]
+Scenes = Annotated[Path, typer.Argument(metavar="PATH", help="A scene of fragments, or a folder of scenes.")]
 Log = Annotated[
     Path | None,
     typer.Option(
@@ -90,69 +83,81 @@ Repeats = Annotated[
 ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ComparisonRun:
+    """Which methods are compared on which scenes, and how they run."""
+
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods",
+            metavar="NAME,NAME",
+            help="Only these: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, gc-ransac, magsac, "
+            "default, fast, thorough, paper, fpfh.",
+        ),
+    ] = None
+    scenes: Annotated[
+        str | None, typer.Option("--scenes", metavar="NAME,NAME", help="Only the pairs of these scenes.")
+    ] = None
+    quick: Quick = False
+    seed: opt.Seed = 0
+    device: opt.DeviceName = opt.Device.cpu
+    threads: opt.Threads = None
+
+    def options(self) -> ComparisonOptions:
+        """The same for a study; sets PyTorch's threads.
+
+        Raises:
+            ValueError: a GPU is asked for and PyTorch finds none.
+        """
+        return ComparisonOptions(
+            methods=_names(self.methods),
+            scenes=_names(self.scenes),
+            quick=self.quick,
+            device=opt.use(self.device, self.threads).type,
+            seed=self.seed,
+        )
+
+
 @bench.command()
-def field(
-    data: Data,
-    out: Out = Path("torchreg_field"),
-    methods: Methods = None,
-    scenes: Scenes = None,
-    quick: Quick = False,
-    seed: opt.Seed = 0,
-    device: opt.DeviceName = opt.Device.cpu,
-    threads: opt.Threads = None,
-) -> None:
+@expanded
+def field(data: Data, run: ComparisonRun, out: Out = Path("torchreg_field")) -> None:
     """Compare torchreg with Open3D, KISS-Matcher and others on real pairs of known truth.
 
     Registration recall by errors and by RMSE, feature-match recall, inlier ratio, RRE in degrees, RTE in meters and
     seconds, by scene and by overlap, with 95 % intervals over the pairs. All methods get the same clouds and lengths.
     A method whose package is not installed is listed as such. --quick takes the pair of every scene that overlaps most.
 
-    Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
+    Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
     from torchreg.benchmark.field.study import field_study
 
     _expect_folder(out)
-    where = str(opt.use(device, threads))
-    study = field_study(data, methods=_names(methods), scenes=_names(scenes), quick=quick, device=where, seed=seed)
-    _run_and_show(study, out)
+    _run_and_show(field_study(data, run.options()), out)
 
 
 @bench.command("3dmatch")
+@expanded
 def threedmatch(
-    folder: Fragments,
+    folder: Scenes,
+    run: ComparisonRun,
     out: Out = Path("torchreg_3dmatch"),
     log: Log = None,
-    methods: Methods = None,
-    scenes: Scenes = None,
     voxel: Voxel = 0.05,
-    quick: Quick = False,
-    seed: opt.Seed = 0,
-    device: opt.DeviceName = opt.Device.cpu,
-    threads: opt.Threads = None,
 ) -> None:
     """Register the pairs of 3DMatch, 3DLoMatch, Color3DMatch or ETH scenes, and print the tables that papers print.
 
     Fragments are cloud_bin_0.ply, ... (in ETH scenes Hokuyo_0.ply, ...) in one folder per scene, gt.log and gt.info in
-    it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that do
-    not follow one another, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
+    it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that are
+    not consecutive, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
     --quick takes the first pair of every scene that counts.
 
-    Exit code 0: everything is there but for what is not installed. 2: bad usage, or a file that cannot be read.
+    Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
     from torchreg.benchmark.threedmatch.study import fragments_study
 
     _expect_folder(out)
-    where = str(opt.use(device, threads))
-    study = fragments_study(
-        folder,
-        log=log,
-        methods=_names(methods),
-        scenes=_names(scenes),
-        voxel=positive(voxel, "--voxel"),
-        quick=quick,
-        device=where,
-        seed=seed,
-    )
+    study = fragments_study(folder, run.options(), log=log, voxel=positive(voxel, "--voxel"))
     _run_and_show(study, out)
 
 
@@ -174,7 +179,7 @@ def paper(
     equalization, on simulated scans and, with --real, on real ones; all lengths in meters. --quick takes a quarter of
     the points and coarse scans.
 
-    Exit code 0: everything is there. 2: bad usage, or a file that cannot be read.
+    Exit code 0: all was measured. 2: bad usage, or a file that cannot be read.
     """
     from torchreg.benchmark.paper.settings import EXPERIMENTS
     from torchreg.benchmark.paper.study import paper_study
@@ -204,7 +209,7 @@ def speed(
     Seconds over numbers of points, neighbors and hypotheses, how they grow (slopes of logarithms), and peak memory;
     torchreg eager and compiled. --quick takes few points and two repeats.
 
-    Exit code 0: everything is there. 2: bad usage.
+    Exit code 0: all was measured. 2: bad usage.
     """
     from torchreg.benchmark.speed.study import speed_study
 

@@ -104,8 +104,8 @@ def _side_by_side(comparison: Comparison) -> Table:
     if any(side.truth is not None for side in sides):
         for place, name in enumerate(("RRE (degrees)", "RTE (m)", "RMSE (m)")):
             table.add_row(name, *(_number(None if side.truth is None else side.truth[place]) for side in sides))
-    for stage in dict.fromkeys(name for side in sides for name, _ in side.seconds):
-        table.add_row(f"{stage} (s)", *(_number(dict(side.seconds).get(stage)) for side in sides))
+    for stage in dict.fromkeys(name for side in sides for name in side.seconds):
+        table.add_row(f"{stage} (s)", *(_number(side.seconds.get(stage)) for side in sides))
     table.add_row("these stages (s)", *(_number(side.total_seconds) for side in sides))
     return table
 

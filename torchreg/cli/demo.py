@@ -43,7 +43,7 @@ PictureFile = Annotated[
     typer.Option(
         "--figure",
         metavar="FILE.png",
-        help="The picture: before, and under the transform of each method, axes in meters (.png, .pdf or .svg).",
+        help="Draw the clouds before and under the transform of each method, axes in meters (.png, .pdf or .svg).",
         rich_help_panel="Output",
     ),
 ]

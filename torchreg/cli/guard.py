@@ -20,7 +20,7 @@ _DEBUG = "TORCHREG_DEBUG"
 class GuardedGroup(TyperGroup):
     """A group of commands that end with a message and an exit code whatever happens inside them.
 
-    ``ValueError`` (of which ``CloudFileError`` is one) and ``OSError`` are for the user to mend: 2. Any other exception
+    ``ValueError`` (of which ``CloudFileError`` is one) and ``OSError`` are mistakes of the user: 2. Any other exception
     is a defect: 1. With ``TORCHREG_DEBUG=1`` in the environment, exceptions pass through.
     """
 

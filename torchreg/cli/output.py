@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from torchreg.errors import expect
-from torchreg.io.atomic import atomic_write
+from torchreg.io.atomic import write_text
 
 STANDARD_OUTPUT = Path("-")
 
@@ -51,8 +51,7 @@ def write_json(path: Path, content: dict[str, object]) -> None:
     if path == STANDARD_OUTPUT:
         typer.echo(text, nl=False)
         return
-    with atomic_write(path) as file:
-        file.write(text.encode())
+    write_text(path, text)
 
 
 def standard_output(*, stderr: bool = False) -> Console:

@@ -73,17 +73,17 @@ class ReadPair:
     @property
     def words(self) -> tuple[str, str]:
         """File name and size of both."""
-        return self._words(0), self._words(1)
+        texts = []
+        for file, cloud in zip(self.files, self.used, strict=True):
+            used = len(cloud.points)
+            part = "" if used == file.points_in_file else f"{used:,} of "
+            texts.append(f"{file.path}: {part}{file.points_in_file:,} points")
+        return texts[0], texts[1]
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Points in the files and points used, for JSON."""
         numbers = zip(("source", "target"), self.files, self.used, strict=True)
         return {name: {"in_file": file.points_in_file, "used": len(used.points)} for name, file, used in numbers}
-
-    def _words(self, which: int) -> str:
-        file, used = self.files[which], len(self.used[which].points)
-        part = "" if used == file.points_in_file else f"{used:,} of "
-        return f"{file.path}: {part}{file.points_in_file:,} points"
 
 
 def read_pair(paths: PairArguments, settings: StageSettings) -> ReadPair:

@@ -50,7 +50,7 @@ def step(what: str) -> Iterator[None]:
 def batch_progress() -> Iterator[Callable[[BatchProgress], None]]:
     """A function that shows every step of a batch: as bars on a terminal, as a line now and then elsewhere."""
     if not sys.stderr.isatty():
-        yield _Lines()
+        yield _lines()
         return
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -60,52 +60,48 @@ def batch_progress() -> Iterator[Callable[[BatchProgress], None]]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        yield _Bars(bar)
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        pace = _Pace()
+        tasks: dict[str, TaskID] = {}
+
+        def show(progress: BatchProgress) -> None:
+            if progress.stage not in tasks:
+                tasks[progress.stage] = bars.add_task(" ".join(_WORDS[progress.stage]), total=progress.total, rate="")
+            rate = pace.words(progress)
+            bars.update(tasks[progress.stage], completed=progress.done, total=progress.total, rate=rate)
+
+        yield show
+
+
+def _lines() -> Callable[[BatchProgress], None]:
+    """A function that prints a line every few seconds, and one at the end of a stage."""
+    pace, last = _Pace(), 0.0
+
+    def show(progress: BatchProgress) -> None:
+        nonlocal last
+        words, now = pace.words(progress), time.monotonic()
+        if progress.total == 0 or (now - last < _SECONDS_BETWEEN_LINES and progress.done < progress.total):
+            return
+        last = now
+        doing, what = _WORDS[progress.stage]
+        complain(f"{doing} {what}: {progress.done:,} of {progress.total:,}{f', {words}' if words else ''}")
+
+    return show
 
 
 class _Pace:
-    """How fast a stage of this run is."""
+    """How fast the stages of this run are."""
 
-    def __init__(self, first: BatchProgress) -> None:
-        self._first, self._begin = first, time.monotonic()
+    def __init__(self) -> None:
+        self._begun: dict[str, tuple[float, int]] = {}  # seconds, and items done before this run, by stage
 
     def words(self, now: BatchProgress) -> str:
         """Rate, time left and failures, where there are any."""
-        spent, done = time.monotonic() - self._begin, now.done - self._first.done
+        begin, before = self._begun.setdefault(now.stage, (time.monotonic(), now.done))
+        spent, done = time.monotonic() - begin, now.done - before
         failed = f", {now.failed:,} not registered" if now.failed else ""
         if done == 0 or spent <= 0:
             return failed.removeprefix(", ")
         rate = done / spent
         left = f", {(now.total - now.done) / rate:.0f} s left" if now.done < now.total else ""
         return f"{rate:{'.0f' if rate >= 10 else '.2g'}} {_WORDS[now.stage][1]}/s{left}{failed}"
-
-
-class _Lines:
-    def __init__(self) -> None:
-        self._pace: dict[str, _Pace] = {}
-        self._last = 0.0
-
-    def __call__(self, progress: BatchProgress) -> None:
-        pace = self._pace.setdefault(progress.stage, _Pace(progress))
-        now = time.monotonic()
-        if progress.total == 0 or (now - self._last < _SECONDS_BETWEEN_LINES and progress.done < progress.total):
-            return
-        self._last = now
-        doing, what = _WORDS[progress.stage]
-        words = pace.words(progress)
-        complain(f"{doing} {what}: {progress.done:,} of {progress.total:,}{f', {words}' if words else ''}")
-
-
-class _Bars:
-    def __init__(self, bar: Progress) -> None:
-        self._bar = bar
-        self._tasks: dict[str, tuple[TaskID, _Pace]] = {}
-
-    def __call__(self, progress: BatchProgress) -> None:
-        if progress.stage not in self._tasks:
-            name = " ".join(_WORDS[progress.stage])
-            self._tasks[progress.stage] = (self._bar.add_task(name, total=progress.total, rate=""), _Pace(progress))
-        task, pace = self._tasks[progress.stage]
-        rate = pace.words(progress)
-        self._bar.update(task, completed=progress.done, total=progress.total, rate=rate)

@@ -100,9 +100,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         raise ValueError(f"{raw.name}: expected coordinates up to {FARTHEST_COORDINATE:g} m, got {largest:g}")
     shift = choose_origin(points)
     scanner = place_scanner(viewpoint, raw.viewpoint, points, raw.origin)
-    scaled = ScaledColors(None, "", ())
-    if raw.colors is not None:
-        scaled = scale_colors(raw.colors[finite], raw.name)
+    scaled = ScaledColors(None, "", ()) if raw.colors is None else scale_colors(raw.colors[finite], raw.name)
     normals, normal_notes = _unit_normals(None if raw.normals is None else raw.normals[finite])
     position = None if scanner.position is None else (scanner.position - shift)[None]  # (1, 3)
     cloud = Clouds(
@@ -177,8 +175,7 @@ def scale_colors(colors: NDArray[Any], name: str) -> ScaledColors:
     is_unit = high <= 1 + _SLACK
     is_byte = 255 >= high >= _LEAST_BRIGHT
     expected = f"float colors from 0 to 1, or to 255 with a maximum of at least {_LEAST_BRIGHT:g}"
-    legal = low >= -_SLACK and (is_unit or is_byte)
-    if not legal:
+    if not (low >= -_SLACK and (is_unit or is_byte)):
         raise ValueError(f"{name}: expected {expected}, got {low:g} to {high:g}")
     lost = len(finite) - int(finite.sum())
     notes = [f"{lost} colors are not finite and were made black"] * (lost > 0)

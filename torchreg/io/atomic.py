@@ -43,6 +43,12 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = True) -> Itera
         raise
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text in UTF-8, in full or not at all, as ``atomic_write`` does."""
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
 def remove_remains(folder: Path, older_than: float = 0.0) -> None:
     """Remove the temporary files that killed processes left in a folder, unless changed in the last seconds."""
     for part in folder.glob(".*.tmp"):

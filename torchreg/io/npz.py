@@ -56,13 +56,12 @@ def read_npz(path: Path) -> Iterator[RawCloud]:
     origin, viewpoint = (_position(path, arrays, key) for key in ("origin", "viewpoint"))
     origin = np.zeros(3) if origin is None else origin
     require(bool(np.isfinite(origin).all()), path, "a finite origin", str(origin))
-    normals = arrays.get("normals")
     yield RawCloud(
         name=str(path),
         format="npz",
         points=points.astype(np.float64),
         colors=arrays.get("colors"),
-        normals=None if normals is None else normals.astype(np.float64),
+        normals=arrays["normals"].astype(np.float64) if "normals" in arrays else None,
         origin=origin,
         viewpoint=viewpoint,
     )

@@ -61,12 +61,9 @@ def to_open3d(cloud: Clouds) -> Any:  # noqa: ANN401
     o3d = load_open3d()
     wide = cloud.to(device="cpu", dtype=torch.float64)
     pcd = o3d.geometry.PointCloud()
-    vectors = o3d.utility.Vector3dVector
-    pcd.points = vectors((wide.points + wide.origin).detach().numpy())
-    if wide.colors is not None:
-        pcd.colors = vectors(wide.colors.detach().numpy())
-    if wide.normals is not None:
-        pcd.normals = vectors(wide.normals.detach().numpy())
+    for name, values in (("points", wide.points + wide.origin), ("colors", wide.colors), ("normals", wide.normals)):
+        if values is not None:
+            setattr(pcd, name, o3d.utility.Vector3dVector(values.detach().numpy()))
     return pcd
 
 
@@ -81,6 +78,5 @@ def _arrays(pcd: Any) -> tuple[_Array, _Array | None, _Array | None]:  # noqa: A
     expect("positions" in arrays, "pcd", "at least one point", "none")
     for key, values in arrays.items():
         expect(values.shape == (len(values), 3), "pcd", f"{key} (N, 3)", values.shape)
-    normals = arrays.get("normals")
-    wide = None if normals is None else normals.astype(np.float64)
-    return arrays["positions"].astype(np.float64), arrays.get("colors"), wide
+    normals = arrays["normals"].astype(np.float64) if "normals" in arrays else None
+    return arrays["positions"].astype(np.float64), arrays.get("colors"), normals

@@ -16,7 +16,8 @@ from torchreg.errors import expect
 from torchreg.io.checks import excerpt, readable_file, refuse, require
 from torchreg.io.transform_text import checked_rigid, read_transform_text
 
-_KNOWN = ("source", "target", "truth", "name")
+_NEEDED = ("source", "target")
+_KNOWN = (*_NEEDED, "truth", "name")
 _DELIMITERS = (",", ";", "\t")
 _LARGEST_FILE = 1 << 26  # bytes; beyond it somebody named a cloud where a table was meant
 
@@ -88,7 +89,7 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     if root is not None:
         expect(Path(root).is_dir(), "root", "a folder that exists", os.fspath(root))
     base = file.parent if root is None else Path(root)
-    table = _read_table(file, ("source", "target"))
+    table = _read_table(file)
     require(bool(table), file, "at least one pair below the header", "none")
     lines: dict[tuple[str, str], int] = {}
     names: set[str] = set()
@@ -112,9 +113,9 @@ class _TableRow(NamedTuple):
 def _pair(row: _TableRow, base: Path, names: set[str], where: str) -> PairRow:
     """The pair of a row; its name is added to those taken."""
     cells = row.cells
-    for column in ("source", "target"):
+    for column in _NEEDED:
         require(cells[column] != "", where, f"a file in the column {column}", "an empty cell")
-    source, target = (base / cells[column] for column in ("source", "target"))
+    source, target = (base / cells[column] for column in _NEEDED)
     return PairRow(
         line=row.line,
         name=_name(cells.get("name", ""), f"{source.stem}__{target.stem}", names, where),
@@ -128,19 +129,12 @@ def _pair(row: _TableRow, base: Path, names: set[str], where: str) -> PairRow:
 
 
 def _name(given: str, otherwise: str, taken: set[str], where: str) -> str:
-    """The name given, which must be free, or one that is made."""
-    if given:
-        require(given not in taken, where, "a name that no pair before it has", excerpt(given))
-        taken.add(given)
-        return given
-    return _free_name(otherwise, taken)
-
-
-def _free_name(wanted: str, taken: set[str]) -> str:
-    name, count = wanted, 1
+    """The name given, which must be free, or else the first free one that begins with another text."""
+    require(given not in taken, where, "a name that no pair before it has", excerpt(given))
+    name, count = given or otherwise, 1
     while name in taken:
         count += 1
-        name = f"{wanted}__{count}"
+        name = f"{otherwise}__{count}"
     taken.add(name)
     return name
 
@@ -163,13 +157,13 @@ def _truth(cell: str, base: Path, where: str) -> Tensor | None:
         refuse(where, "a truth that is a rigid transform", str(error))
 
 
-def _read_table(path: str | os.PathLike[str], needed: tuple[str, ...]) -> tuple[_TableRow, ...]:
-    """The rows of a table with these columns, their names read in lower case; none where there is only a header."""
+def _read_table(path: Path) -> list[_TableRow]:
+    """The rows of a table, the names of its columns in lower case; none where there is only a header."""
     file = readable_file(path)
     lines = enumerate(_lines(file), start=1)
     number, header = next(((n, line) for n, line in lines if _counts(line)), (0, ""))
     require(number > 0, file, "a header line", "nothing but blank lines and comments")
-    mark, names = _columns(header, f"{file}, line {number}", needed)
+    mark, names = _columns(header, f"{file}, line {number}")
     rows = []
     for number, line in lines:
         if not _counts(line):
@@ -183,7 +177,7 @@ def _read_table(path: str | os.PathLike[str], needed: tuple[str, ...]) -> tuple[
             refuse(where, "cells without quotes or within a pair of them", f"{excerpt(line.strip())} ({error})")
         require(len(cells) == len(names), where, f"{len(names)} cells, as the header has", f"{len(cells)}")
         rows.append(_TableRow(number, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}))
-    return tuple(rows)
+    return rows
 
 
 def _lines(file: Path) -> list[str]:
@@ -206,7 +200,7 @@ def _counts(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 
-def _columns(header: str, where: str, needed: tuple[str, ...]) -> tuple[str, list[str]]:
+def _columns(header: str, where: str) -> tuple[str, list[str]]:
     """The separator and the names of the columns."""
     names: dict[str, list[str]] = {}
     broken = ""
@@ -216,13 +210,13 @@ def _columns(header: str, where: str, needed: tuple[str, ...]) -> tuple[str, lis
         except csv.Error as error:
             broken, cells = str(error), []  # quotes may fit another separator
         names[mark] = [cell.strip().lower() for cell in cells]
-        if set(needed) <= set(names[mark]):
+        if set(_NEEDED) <= set(names[mark]):
             break
     else:
         if not any(names.values()):
             refuse(where, "a header on one line, in cells without quotes or within a pair of them", broken)
         most = max(names.values(), key=len)
-        refuse(where, f"the columns {' and '.join(needed)}", ", ".join(most))
+        refuse(where, f"the columns {' and '.join(_NEEDED)}", ", ".join(most))
     columns = names[mark]
     for column, name in enumerate(columns, start=1):
         require(name != "", where, "a name for every column", f"none for column {column}")

@@ -9,7 +9,6 @@ import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,9 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.geometry.se3 import quaternion_wxyz
-from torchreg.io.atomic import atomic_write
-from torchreg.types import Failure, RegistrationResult, StageCounts
+from torchreg.io.atomic import write_text
+from torchreg.types import RegistrationResult
+from torchreg.version import __version__
 
 _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")
 
@@ -36,7 +36,7 @@ def result_to_dict(
         result: of B pairs.
         pair: which one, from 0 to B - 1.
         seed: what the registration was run with.
-        source: name of the source cloud, as it should stand in the file.
+        source: name of the source cloud for the file.
         target: name of the target cloud.
 
     Returns:
@@ -64,12 +64,17 @@ def result_to_dict(
     begin, end = result.correspondences.offsets[pair : pair + 2].tolist()
     quaternion = quaternion_wxyz(T[:3, :3]).tolist()
     counts = {f"hypotheses_{key}": int(value[pair]) for key, value in result.hypotheses._asdict().items()}
+    failure, stages = result.failure[pair], None
+    if result.stages:
+        stages = plain_data(result.stages[pair])
+        for name in ("given", "points", "described"):
+            stages[name] = dict(zip(("source", "target"), stages[name], strict=True))
     content = {
         "source": source,
         "target": target,
         "success": bool(result.success[pair]),
         "reason": result.reason[pair],
-        "failure": _failure(result.failure[pair]),
+        "failure": None if failure is None else {"kind": failure.kind, "figures": failure.figures},
         "notes": result.notes[pair] if result.notes else (),
         "T_target_source": T.tolist(),
         "quaternion": dict(zip("wxyz", quaternion, strict=True)),
@@ -78,12 +83,8 @@ def result_to_dict(
         "inlier_rmse": float(result.inlier_rmse[pair]),
         **{name: _value(getattr(result, name), pair) for name in _VERIFIED},
         "candidates": result.candidates[pair] if result.candidates else (),
-        "stages": _stages(result.stages[pair]) if result.stages else None,
-        "counts": {
-            "correspondences": end - begin,
-            "inliers": int(result.inliers[begin:end].sum()),
-            **counts,
-        },
+        "stages": stages,
+        "counts": {"correspondences": end - begin, "inliers": int(result.inliers[begin:end].sum()), **counts},
         "seed": seed,
         "options": result.options[pair] if result.options else None,
         "seconds": dict(result.seconds),
@@ -107,8 +108,7 @@ def write_result_json(
         ValueError: ``pair`` is not one of the result's, or the folder does not exist.
     """
     content = result_to_dict(result, pair, seed=seed, source=source, target=target)
-    with atomic_write(path) as file:
-        file.write((json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def plain_data(value: Any) -> Any:  # noqa: ANN401
@@ -139,13 +139,9 @@ def plain_data(value: Any) -> Any:  # noqa: ANN401
 
 def versions() -> dict[str, str | None]:
     """Versions of what takes part; Open3D's is ``None`` as long as nothing has loaded it."""
-    try:
-        torchreg = metadata.version("torchreg-pointcloud")
-    except metadata.PackageNotFoundError:
-        torchreg = "not installed"
     open3d = sys.modules.get("open3d")
     return {
-        "torchreg": torchreg,
+        "torchreg": __version__,
         "torch": torch.__version__,
         "numpy": np.__version__,
         "open3d": getattr(open3d, "__version__", None),
@@ -154,21 +150,9 @@ def versions() -> dict[str, str | None]:
     }
 
 
-def _failure(failure: Failure | None) -> dict[str, object] | None:
-    return None if failure is None else {"kind": failure.kind, "figures": failure.figures}
-
-
 def _value(values: Tensor | None, pair: int) -> object:
     """The pair's number or matrix; ``None`` where it was not computed, or is a matrix that is not finite."""
     if values is None:
         return None
     value = values[pair].detach().cpu()
     return value.tolist() if value.ndim == 0 or bool(torch.isfinite(value).all()) else None
-
-
-def _stages(stages: StageCounts) -> dict[str, object]:
-    sides = {
-        name: dict(zip(("source", "target"), getattr(stages, name), strict=True))
-        for name in ("given", "points", "described")
-    }
-    return {**sides, "proposals": stages.proposals}

@@ -4,7 +4,6 @@ Open3D is imported when one of these functions is called.
 """
 
 from torchreg.reference import open3d
-from torchreg.reference.comparison import Comparison
-from torchreg.reference.side_by_side import compare
+from torchreg.reference.comparison import Comparison, compare
 
 __all__ = ["Comparison", "compare", "open3d"]

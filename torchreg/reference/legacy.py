@@ -5,25 +5,21 @@ Points stay relative to their cloud's origin: coordinates of UTM size would cost
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchreg.io.open3d_clouds import to_open3d
 from torchreg.open3d_loader import load_open3d
 from torchreg.types import Clouds
 
 
 def point_cloud(cloud: Clouds) -> Any:  # noqa: ANN401
     """An ``open3d.geometry.PointCloud`` of a batch of one, relative to its origin."""
-    o3d = load_open3d()
-    pcd = o3d.geometry.PointCloud()
-    for name in ("points", "colors", "normals"):
-        values: Tensor | None = getattr(cloud, name)
-        if values is not None:
-            setattr(pcd, name, o3d.utility.Vector3dVector(wide(values).contiguous().numpy()))
-    return pcd
+    return to_open3d(replace(cloud, origin=torch.zeros_like(cloud.origin)))
 
 
 def feature(values: Tensor) -> Any:  # noqa: ANN401

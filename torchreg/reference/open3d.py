@@ -46,7 +46,7 @@ def register(
             handed over (its rows that are not valid are left out).
 
     Returns:
-        RegistrationResult on the CPU. ``hypotheses`` are -1: Open3D does not tell. ``notes`` say where it took
+        RegistrationResult on the CPU. ``hypotheses`` are -1: Open3D does not return them. ``notes`` say where it took
         one-way matches because mutual ones were few.
 
     Raises:

@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.fpfh import Fpfh
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference import stages
@@ -16,6 +18,7 @@ from torchreg.registration.candidates import fused, recipes_of
 from torchreg.registration.describe import describe_thin, description_of
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
+from torchreg.solvers import RansacOptions
 from torchreg.solvers.batch import too_few_matches
 from torchreg.types import Clouds, Failure, Features
 
@@ -63,6 +66,11 @@ def register_pair(source: Clouds, target: Clouds, options: RegistrationOptions, 
     return outcome
 
 
+def fpfh_of(options: RegistrationOptions) -> Descriptor:
+    """The record whose support Open3D's FPFH takes: that of FPFH, or the first one where FPFH is not among them."""
+    return next((record for record in options.descriptors if isinstance(record, Fpfh)), options.descriptors[0])
+
+
 @stage("downsample")
 def _downsampled(source: Clouds, target: Clouds, options: RegistrationOptions) -> tuple[Clouds, Clouds]:
     if options.voxel_size is None:
@@ -92,7 +100,8 @@ def _with_normals(cloud: Clouds, options: RegistrationOptions) -> Clouds:
 
 @stage("descriptors")
 def _fpfh(cloud: Clouds, options: RegistrationOptions) -> Features:
-    return stages.fpfh(cloud, options.feature_radius, options.feature_max_neighbors)
+    record = fpfh_of(options)
+    return stages.fpfh(cloud, record.radius, record.max_neighbors)
 
 
 @stage("matching")
@@ -116,8 +125,9 @@ def _match(outcome: PairOutcome, left: Features, right: Features, *, everything:
 
 @stage("hypotheses")
 def _ransac(outcome: PairOutcome, options: RegistrationOptions) -> None:
-    """Fill in what RANSAC finds, or the reason why it found nothing."""
-    o3d, ransac = load_open3d(), options.ransac
+    """Fill in the pose of RANSAC, or why there is none."""
+    o3d, solver = load_open3d(), options.solver
+    ransac = solver if isinstance(solver, RansacOptions) else RansacOptions(inlier_threshold=solver.inlier_threshold)
     source, target = outcome.source, outcome.target
     outcome.inliers = torch.zeros(len(outcome.matches), dtype=torch.bool)
     if len(outcome.matches) < ransac.sample_size:

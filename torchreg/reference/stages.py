@@ -18,7 +18,7 @@ from torchreg.types import Clouds, Features, Neighborhoods
 
 
 class Evaluation(NamedTuple):
-    """What ``open3d.pipelines.registration.evaluate_registration`` says of B pairs.
+    """The result of ``open3d.pipelines.registration.evaluate_registration`` for B pairs.
 
     Attributes:
         fitness: (B,) float64, share of source points with a target point nearer than the threshold.
@@ -108,8 +108,8 @@ def neighborhoods(cloud: Clouds, radius: float, max_neighbors: int) -> Neighborh
     if count > 0:
         tree = load_open3d().geometry.KDTreeFlann(point_cloud(cloud))
         for i, point in enumerate(wide(cloud.points).numpy()):
-            found, near, square = tree.search_hybrid_vector_3d(point, radius, max_neighbors)
-            index[i, :found], valid[i, :found], squares[i, :found] = near, True, square
+            count, near, square = tree.search_hybrid_vector_3d(point, radius, max_neighbors)
+            index[i, :count], valid[i, :count], squares[i, :count] = near, True, square
     return Neighborhoods(torch.from_numpy(index), torch.from_numpy(valid), torch.from_numpy(squares), radius)
 
 

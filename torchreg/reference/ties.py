@@ -3,7 +3,7 @@
 A vote of a pair goes to another bin when a feature lies on the edge between two bins; when |a1| = |a2|, so that
 either point may take the first place and the two ways differ (equal or opposite normals are no tie: rounding is
 the same on both sides); or when the line is almost along the first normal, or the second normal along v, so that an
-angle has hardly a direction. Found from the definition with vectors and an arc tangent, apart from the kernels that
+angle is ill-defined. Detected from the definition with vectors and an arc tangent, apart from the kernels that
 are compared.
 """
 
@@ -29,7 +29,7 @@ class Rounding(NamedTuple):
     Attributes:
         position: of a feature, in widths of a bin.
         direction: of v, in radians, where the line is across the normal; it grows with the inverse of their sine.
-        parallel: the sine of line and normal below which v says nothing.
+        parallel: the sine of line and normal below which v has no direction.
     """
 
     position: float
@@ -83,19 +83,19 @@ def find_ties(cloud: Clouds, near: Neighborhoods, rounding: Rounding = ROUNDING[
     normals = cloud.normals
     if normals is None:
         raise ValueError("cloud: expected normals, got none")
-    own = torch.zeros(len(near), dtype=torch.bool)
+    tied_rows = torch.zeros(len(near), dtype=torch.bool)
     pairs: list[Tie] = []
     for rows in row_chunks(len(near), near.max_neighbors):
         index, counted = near.index[rows], neighbor_votes(near.index, near.valid, rows)
         query = (cloud.points[rows, None], normals[rows, None])
         neighbor = (cloud.points[index], normals[index])
         tied = _tied(query, neighbor, rounding) & counted[..., None]  # (r, K, kinds)
-        own[rows] = tied.any(dim=2).any(dim=1)
+        tied_rows[rows] = tied.any(dim=2).any(dim=1)
         for row, slot, kind in tied.nonzero().tolist():
             pairs.append(Tie(rows.start + row, int(index[row, slot]), KINDS[kind]))
-    touched = own.clone()
+    touched = tied_rows.clone()
     for rows in row_chunks(len(near), near.max_neighbors):
-        touched[rows] |= (own[near.index[rows]] & near.valid[rows]).any(dim=1)
+        touched[rows] |= (tied_rows[near.index[rows]] & near.valid[rows]).any(dim=1)
     return Ties(pairs, touched)
 
 

@@ -1,17 +1,22 @@
-"""Blank figures, annotations, and figures as files."""
+"""Blank figures, limits, annotations and legends, and figures as files."""
 
 from __future__ import annotations
 
 import os
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from torchreg.errors import expect
 from torchreg.io.atomic import atomic_write
 from torchreg.report.text import legible
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -37,6 +42,25 @@ def annotate(ax: Axes, text: str, place: tuple[float, float], **style: Any) -> N
     """Write on a panel, on white so that points do not hide it."""
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
     ax.annotate(text, place, bbox=paper, **style)
+
+
+def set_limits(ax: Axes, low: NDArray[Any], high: NDArray[Any], ratio: float) -> None:
+    """Show at least from ``low`` to ``high`` (2,), to scale, in a panel ``ratio`` times as high as wide."""
+    size = high - low
+    shown = np.array([max(size[0], size[1] / ratio), max(size[1], size[0] * ratio)])
+    middle = (low + high) / 2
+    ax.set_xlim(middle[0] - shown[0] / 2, middle[0] + shown[0] / 2)
+    ax.set_ylim(middle[1] - shown[1] / 2, middle[1] + shown[1] / 2)
+    ax.set_aspect("equal")
+
+
+def add_legend(figure: Figure, colors: Mapping[str, str], *others: Artist) -> None:
+    """Name the colors of dots below a figure, and then other marks."""
+    from matplotlib.lines import Line2D
+
+    style: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 7}
+    handles = [*(Line2D([], [], color=color, label=name, **style) for name, color in colors.items()), *others]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=10)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 130) -> None:

@@ -96,11 +96,11 @@ def correspondence_figure(
     if bool(result.success[pair]):
         T = result.T_target_source[pair].detach()
         placed, starts = scene.moved(T), scene.moved(T, ends.source)
-        pose = "under the found transform"
+        pose = "under the transform of the result"
     else:
         low, high = (there - here for there, here in zip(box(scene.target), box(scene.source), strict=True))
         placed, starts = (points + (low + high) / 2 for points in (scene.source, ends.source))  # center on center
-        pose = "as it came, since no transform was found"
+        pose = "as it came, since the pair was not registered"
     layout = layout_of(placed, scene)
     view, moved = layout.view, placed + layout.shift
 

@@ -60,12 +60,7 @@ def demo_table(rows: Sequence[DemoRow]) -> Table:
 
 
 def demo_sentence(plain: DemoRow, fused: DemoRow) -> str:
-    """One sentence that compares the plain procedure without color and the default on one hall.
-
-    Args:
-        plain: geometry alone, the best of its matches' poses.
-        fused: geometry and color, candidates weighed on the clouds.
-    """
+    """One sentence that compares the plain procedure without color and the default on one hall."""
     matches = f"{100 * fused.inlier_ratio:.1f} % of the matches are right instead of {100 * plain.inlier_ratio:.1f} %"
     if fused.right and plain.right:
         return f"The walls of both scans lie on each other by default and without color; with color {matches}."

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import at_least, expect
-from torchreg.report.canvas import annotate, blank_figure
+from torchreg.report.canvas import add_legend, annotate, blank_figure, set_limits
 from torchreg.report.scene import Scene, box, padded, scene_of, union
 from torchreg.report.text import legible
 from torchreg.report.views import AXES, VIEWS, View, axis_label, slice_of
@@ -128,13 +128,8 @@ def _draw_panels(
 ) -> Figure:
     """Draw every column from three sides, all panels of a row to the same scale.
 
-    Args:
-        scene: the clouds.
-        columns: from left to right.
-        reference: (N, 3) the source in the state that decides which slices are cut; the points of the slices
-            are then the same in all columns.
-        title: above all.
-        max_points: of each cloud in one panel.
+    ``reference`` (N, 3) is the source in the state that decides which slices are cut, so that all columns show the
+    same points.
     """
     shown = np.concatenate((reference, scene.target))  # (N + M, 3)
     least = padded(box(shown), _MARGIN)
@@ -151,7 +146,7 @@ def _draw_panels(
             keep = _kept(shown, view, cut, column.in_color)
             _scatter(ax, scene, points, keep, view, max_points, column.in_color)
             low, high = union(least, padded(box(points), _MARGIN))
-            _set_limits(ax, low[plane], high[plane], ratio)
+            set_limits(ax, low[plane], high[plane], ratio)
             ax.tick_params(labelsize=8)
             ax.set_xlabel(axis_label(scene, view.right), fontsize=8)
         row[0].set_ylabel(f"{view.name} view, along {AXES[view.depth]}\n{axis_label(scene, view.up)}", fontsize=9)
@@ -160,7 +155,8 @@ def _draw_panels(
             annotate(row[0], text, (0.01, 0.02), xycoords="axes fraction", fontsize=7, color="0.3")
     for column, ax in zip(columns, axes[0], strict=True):
         ax.set_title(legible(column.heading), fontsize=11, parse_math=False)
-    _legend(figure, scene)
+    names = [f"{name}, {count:,} points" for name, count in zip(("source", "target"), scene.counts, strict=True)]
+    add_legend(figure, dict(zip(names, (SOURCE_COLOR, TARGET_COLOR), strict=True)))
     return figure
 
 
@@ -190,23 +186,3 @@ def _kept(points: NDArray[Any], view: View, cut: tuple[float, float] | None, in_
     if in_color:
         return np.asarray(depth <= cut[1] if view.toward > 0 else depth >= cut[0])
     return np.asarray((depth >= cut[0]) & (depth <= cut[1]))
-
-
-def _set_limits(ax: Axes, low: NDArray[Any], high: NDArray[Any], ratio: float) -> None:
-    """Show at least from ``low`` to ``high`` (2,), to scale, in a panel ``ratio`` times as high as wide."""
-    size = high - low
-    shown = np.array([max(size[0], size[1] / ratio), max(size[1], size[0] * ratio)])
-    middle = (low + high) / 2
-    ax.set_xlim(middle[0] - shown[0] / 2, middle[0] + shown[0] / 2)
-    ax.set_ylim(middle[1] - shown[1] / 2, middle[1] + shown[1] / 2)
-    ax.set_aspect("equal")
-
-
-def _legend(figure: Figure, scene: Scene) -> None:
-    from matplotlib.lines import Line2D
-
-    marks = [
-        Line2D([], [], linestyle="", marker="o", markersize=7, color=color, label=f"{name}, {count:,} points")
-        for name, color, count in zip(("source", "target"), (SOURCE_COLOR, TARGET_COLOR), scene.counts, strict=True)
-    ]
-    figure.legend(handles=marks, loc="outside lower center", ncols=2, frameon=False, fontsize=10)

@@ -29,11 +29,6 @@ def meters(value: float) -> str:
 
 
 def share(part: int, whole: int) -> str:
-    """Such as ``1,234 of 5,000 (25 %)``, as a table shows it."""
-    return f"{part:,} of {whole:,} ({100 * part / max(whole, 1):.3g} %)"
-
-
-def portion(part: int, whole: int) -> str:
     """Such as ``310 of 2,104 (14.7 %)``, with the digits of ``percent``."""
     return f"{part:,} of {whole:,} ({percent(part / whole)})" if whole else f"{part:,} of 0"
 

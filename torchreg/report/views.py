@@ -1,4 +1,4 @@
-"""Sides to look from: the three that a registration is drawn from, and the one that shows most of two clouds.
+"""Views: the three that a registration is drawn from, and the one that shows most of two clouds.
 
 What stands between the viewer and the middle of a room is left out, so that walls and ceilings do not hide the rest.
 """
@@ -26,7 +26,7 @@ _SEEN_CELLS = 100  # along the longest edge
 
 
 class View(NamedTuple):
-    """A side to look from: which coordinate runs right, which up, and which towards the viewer.
+    """A view: which coordinate runs right, which up, and which towards the viewer.
 
     ``toward`` is 1 where that coordinate grows towards the viewer, else -1.
     """
@@ -42,7 +42,7 @@ VIEWS = (View("top", 0, 1, 2, 1), View("front", 0, 2, 1, -1), View("side", 1, 2,
 
 
 class Layout(NamedTuple):
-    """The side to look from, whether from behind it (up is down then), and where the source is moved, (3,) meters."""
+    """The view, whether from behind (up is down then), and by how much the source is moved, (3,) meters."""
 
     view: View
     behind: bool

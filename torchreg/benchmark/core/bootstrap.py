@@ -45,7 +45,7 @@ def bootstrap(
     """The percentile bootstrap: draw as many pairs with replacement, again and again.
 
     Efron, Bootstrap methods: another look at the jackknife, 1979, doi:10.1214/aos/1176344552. Where all pairs have
-    one value, the interval is that value: which says nothing of pairs of another kind.
+    one value, the interval is that value, which tells nothing about pairs of another kind.
 
     Args:
         values: one per pair, at least one.

@@ -22,16 +22,15 @@ def machine() -> dict[str, Any]:
         commit = subprocess.run(ask, cwd=_HERE, capture_output=True, text=True, check=False).stdout.strip()
     except OSError:
         commit = ""
-    model = next(
-        (line.split(":", 1)[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")),
-        platform.processor(),
-    )
+    file = Path("/proc/cpuinfo")
+    lines = file.read_text().splitlines() if file.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
         "torchreg": __version__,
         "torch": torch.__version__,
         "open3d": load_open3d().__version__,
         "python": platform.python_version(),
-        "processor": model,
+        "processor": models[0] if models else platform.processor(),
         "threads": torch.get_num_threads(),
         "commit": commit or None,
     }
@@ -43,10 +42,3 @@ def in_words(facts: dict[str, Any]) -> str:
         f"{facts['processor']}, {facts['threads']} threads, torch {facts['torch']}, Open3D {facts['open3d']}, "
         f"torchreg {facts['torchreg']} at {facts['commit']}"
     )
-
-
-def _lines(path: str) -> list[str]:
-    try:
-        return Path(path).read_text().splitlines()
-    except OSError:
-        return []

@@ -31,8 +31,8 @@ class RealPair:
         T_target_source: (4, 4) float64, meters, true.
         voxel: meters, the voxels to average both clouds over.
         overlap: share of either cloud that the other covers.
-        colored: whether the clouds have colors; taken for granted where the list does not say.
-        outdoor: the scene lies in the open, says the list.
+        colored: whether the clouds have colors, by the list.
+        outdoor: whether the scene is outdoors, by the list.
     """
 
     name: str
@@ -52,8 +52,8 @@ def read_real_pairs(path: str | os.PathLike[str]) -> tuple[RealPair, ...]:
     Args:
         path: the list, or a folder with a ``pairs.json``: under ``pairs`` objects with ``name``, ``scene``, ``source``
             and ``target`` (files beside the list), ``T`` (4x4, maps source points into the target's frame, meters),
-            ``voxel_m`` and ``overlap``; where it is to be known, ``colour`` (true or false) and ``kind`` (a text with
-            the word "outdoor" or not); others are not read.
+            ``voxel_m`` and ``overlap``; optional are ``colour`` (true unless given) and ``kind`` (outdoors where it has
+            the word "outdoor"); others are not read.
 
     Raises:
         CloudFileError: no list, one that cannot be read, or one without pairs; the message names the file.

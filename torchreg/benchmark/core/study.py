@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from torchreg.benchmark.core.machine import in_words, machine
 from torchreg.benchmark.core.rows import Row, Rows
 from torchreg.benchmark.core.tables import Table
-from torchreg.io.atomic import atomic_write
+from torchreg.io.atomic import write_text
 
 Report = Callable[[str], None]
 """Takes one line of progress."""
@@ -23,6 +23,11 @@ class Picture(NamedTuple):
     section: object
     file: str
     caption: str
+
+    @property
+    def markdown(self) -> str:
+        """The picture, and its caption below it."""
+        return f"![{self.caption}]({self.file})\n\n{self.caption}"
 
 
 class Cell(NamedTuple):
@@ -49,7 +54,7 @@ class Study:
         cells: the rows, in the order of the files.
         settings: what every row depends on; rows of other settings are refused.
         versions: the facts of ``machine`` that every row depends on too.
-        run: what else the JSON file says of the run.
+        run: further facts of the run for the JSON file.
         document: the Markdown document, from rows, pictures, and a line about the machine.
         content: what the JSON file holds, from rows.
         csv: CSV files by name, from rows.
@@ -107,6 +112,5 @@ def run_study(study: Study, out: Path, report: Report = lambda _: None) -> list[
         **study.csv(rows),
     }
     for name, text in files.items():
-        with atomic_write(out / name) as file:
-            file.write(text.encode())
+        write_text(out / name, text)
     return rows

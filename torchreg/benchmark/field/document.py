@@ -1,4 +1,4 @@
-"""The tables of the field, its CSV, and what stands above them."""
+"""The tables of a comparison on real pairs, their caption, and the same numbers as CSV."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def tables(comparison: MethodComparison) -> list[Table]:
 
 
 def csv_text(comparison: MethodComparison) -> str:
-    """One line a group, method and measure, with its interval; counts have none."""
+    """One line per group, method and measure, with its interval; counts have none."""
     head = ["group", "method", "measure", "pairs", "value", "low", "high"]
     lines: list[list[object]] = []
     for (group, name), cell in _cells(comparison).items():

@@ -1,4 +1,4 @@
-"""When a pair counts as found, and what the rows of a group of pairs and a method come to, with intervals.
+"""When a pair counts as found, and the figures of a method over a group of pairs, with intervals.
 
 All bounds follow the voxels v that a pair's clouds are averaged over, so that rooms and facades are judged alike; at
 5 cm they are the numbers of 3DMatch.
@@ -25,7 +25,7 @@ MATCH_VOXELS = 2.0
 """A match is an inlier, and a source point overlaps, where the truth brings it nearer: 0.1 m at 5 cm, as PPFNet."""
 
 LEAST_INLIER_RATIO = 0.05
-"""That feature-match recall asks for; Deng et al., PPFNet, CVPR 2018, doi:10.1109/CVPR.2018.00028."""
+"""Above which feature-match recall counts a pair; Deng et al., PPFNet, CVPR 2018, doi:10.1109/CVPR.2018.00028."""
 
 Group = tuple[str, Callable[[Row], bool]]
 """A name, and which rows belong."""
@@ -50,7 +50,7 @@ class FieldCell(NamedTuple):
         rte_m: likewise, meters.
         seconds: median.
         wrong_called_right: pairs not found by errors that the method calls a success.
-        right_refused: pairs found that it does not.
+        right_refused: pairs found that it does not call a success.
         errors: pairs on which it ended with an exception.
     """
 

@@ -1,10 +1,10 @@
-"""Charts: the errors of every setting and method, one dot a place, the paper's printed number beside them."""
+"""Charts: the errors of every setting and method, one dot per place, and the paper's printed number."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from torchreg.benchmark.paper.places import PlaceGroup
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.settings import settings_of
 from torchreg.benchmark.paper.tables import LABELS
+from torchreg.report.canvas import add_legend, blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,15 +31,10 @@ _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
 def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[Row]) -> Figure:
-    """RRE, RTE and RMSE of one experiment: a row of panels for each group of places.
-
-    Args:
-        experiment: 1, 2, 3 or 5.
-        groups: from above.
-        rows: measured.
-    """
+    """RRE, RTE and RMSE of experiment 1, 2, 3 or 5: a row of panels for each group of places, the first on top."""
     settings = [setting.name for setting in settings_of(experiment)]
-    figure = _figure(len(LABELS), len(groups))
+    title = f"Experiment {experiment}: dots are places, bars their median"
+    figure = _figure(len(LABELS), len(groups), title, METHODS)
     panels = figure.subplots(len(groups), len(LABELS), squeeze=False)
     for group, row in zip(groups, panels, strict=True):
         of_group = [one for one in rows if one["experiment"] == experiment and one["group"] == group.name]
@@ -50,14 +46,13 @@ def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[R
             ax.set_ylabel(label.replace("/", " in "), fontsize=9)
             ax.set_xlabel(_AXIS_NAMES[experiment], fontsize=9)
         row[0].set_title(group.title, fontsize=10, loc="left")
-    figure.suptitle(f"Experiment {experiment}: dots are places, bars their median", fontsize=12)
-    _legend(figure, METHODS, "the paper's number")
     return figure
 
 
 def times_chart(rows: Sequence[Row]) -> Figure:
     """Times of Experiment 4 over the number of points, a panel for every span."""
-    figure = _figure(len(SPANS), 1)
+    title = "Experiment 4: times (the paper does not say which span its numbers cover)"
+    figure = _figure(len(SPANS), 1, title, TIMED)
     names = {row["setting"]: row for row in rows}
     for span, ax in zip(SPANS, figure.subplots(1, len(SPANS), sharey=True), strict=True):
         for method in TIMED:
@@ -73,8 +68,6 @@ def times_chart(rows: Sequence[Row]) -> Figure:
         ax.set_xlabel("points of a cloud", fontsize=9)
         ax.grid(axis="y", color="0.9")
     figure.axes[0].set_ylabel("seconds", fontsize=9)
-    figure.suptitle("Experiment 4: times (the paper does not say which span its numbers cover)", fontsize=12)
-    _legend(figure, TIMED, "the paper's number")
     return figure
 
 
@@ -104,7 +97,7 @@ def _printed(ax: Axes, experiment: int, settings: Sequence[str], measure: str) -
 
 
 def _across(place: int, method: str) -> float:
-    """Where a method stands among those of one setting."""
+    """The abscissa of a method among those of one setting."""
     return place + (METHODS.index(method) - (len(METHODS) - 1) / 2) * _BAR
 
 
@@ -119,18 +112,12 @@ def _logarithmic(ax: Axes) -> None:
     ax.yaxis.set_major_formatter("{x:g}")
 
 
-def _figure(columns: int, rows: int) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows + 1.1), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _legend(figure: Figure, methods: Sequence[str], paper: str) -> None:
+def _figure(columns: int, rows: int, title: str, methods: Sequence[str]) -> Figure:
+    """A blank figure for so many panels, with a legend of methods and of the paper's numbers."""
     from matplotlib.lines import Line2D
 
-    marks = [Line2D([], [], linestyle="", marker="o", color=COLORS[name], label=name) for name in methods]
-    marks.append(Line2D([], [], linestyle="", marker="D", color="white", markeredgecolor="black", label=paper))
-    figure.legend(handles=marks, loc="outside lower center", ncols=4, frameon=False)
+    size = (_PANEL[0] * columns, _PANEL[1] * rows + 1.1)
+    figure = blank_figure(size, title, fontsize=12, columns=30 * columns)
+    style: dict[str, Any] = {"linestyle": "", "marker": "D", "color": "white", "markeredgecolor": "black"}
+    add_legend(figure, {name: COLORS[name] for name in methods}, Line2D([], [], label="the paper's number", **style))
+    return figure

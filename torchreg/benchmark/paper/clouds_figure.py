@@ -17,8 +17,9 @@ from torch import Tensor
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.geometry.se3 import apply, inverse
+from torchreg.report.canvas import add_legend, blank_figure, set_limits
 from torchreg.report.figures import SOURCE_COLOR, TARGET_COLOR
-from torchreg.report.scene import box
+from torchreg.report.scene import box, padded
 from torchreg.report.views import VIEWS, slice_of
 from torchreg.types import Clouds
 
@@ -33,7 +34,7 @@ _SHAPE = 0.8  # of a panel: its height over its width
 
 
 class Shown(NamedTuple):
-    """One row: its heading, the clouds with the target in its initial pose, the truth, and the rows by method."""
+    """A row of panels: heading, clouds with the target in its initial pose, the truth, and the rows by method."""
 
     heading: str
     source: Clouds
@@ -43,46 +44,36 @@ class Shown(NamedTuple):
 
 
 def clouds_figure(settings: Sequence[Shown], title: str) -> Figure:
-    """Draw a row of panels for each setting: the initial pose, and what every method returned.
-
-    Args:
-        settings: from above.
-        title: above all.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """Draw a row of panels for each setting, the first on top: the initial pose, and the pose of every method."""
     kinds = 1 + len(METHODS)
-    figure = Figure(figsize=(_WIDTH * kinds + 0.4, _SHAPE * _WIDTH * len(settings) + 1.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=12)
+    size = (_WIDTH * kinds + 0.4, _SHAPE * _WIDTH * len(settings) + 1.2)
+    figure = blank_figure(size, title, fontsize=12, columns=120)
     for shown, axes in zip(settings, figure.subplots(len(settings), kinds, squeeze=False), strict=True):
         source, target = (_upright(cloud, None) for cloud in (shown.source, shown.target))
-        _scatter(axes[0], _oblique(source), _oblique(target))
-        _frame(axes[0], np.concatenate((_oblique(source), _oblique(target))))
+        views = _oblique(source), _oblique(target)
+        _scatter(axes[0], *views, np.concatenate(views))
         axes[0].set_ylabel(shown.heading, fontsize=9)
         axes[0].set_xlabel("seen aslant from above", fontsize=8)
         for method, ax in zip(METHODS, axes[1:], strict=True):
             _registered(ax, shown, method, source)
     for text, ax in zip(("initial pose", *METHODS), figure.axes[:kinds], strict=True):
         ax.set_title(text, fontsize=10)
-    _legend(figure)
+    add_legend(figure, {"source": SOURCE_COLOR, "target": TARGET_COLOR})
     return figure
 
 
-def _registered(ax: Axes, shown: Shown, method: str, source: NDArray[Any]) -> None:
-    """The plan of both clouds under what a method found; the slice is that of the truth."""
+def _registered(ax: Axes, shown: Shown, method: str, whole: NDArray[Any]) -> None:
+    """Draw the plan of both clouds under the pose of a method; the slice is that of the truth."""
     row = shown.rows.get(method)
     if row is None:
         ax.set_axis_off()
         return
     true = _upright(shown.target, shown.T_target_source)
-    cut = slice_of(np.concatenate((source, true)), VIEWS[0])
-    moved = _upright(shown.target, torch.tensor(row["T_target_source"], dtype=torch.float64))
+    cut = slice_of(np.concatenate((whole, true)), VIEWS[0])
+    source, moved = whole, _upright(shown.target, torch.tensor(row["T_target_source"], dtype=torch.float64))
     if cut is not None:
-        source, moved = (points[(points[:, 2] >= cut[0]) & (points[:, 2] <= cut[1])] for points in (source, moved))
-    _scatter(ax, source[:, :2], moved[:, :2])
-    _frame(ax, np.concatenate((source, true))[:, :2])
+        source, moved = (points[(points[:, 2] >= cut[0]) & (points[:, 2] <= cut[1])] for points in (whole, moved))
+    _scatter(ax, source[:, :2], moved[:, :2], np.concatenate((whole, true))[:, :2])
     ax.set_xlabel(
         f"RRE {row['rre_degrees']:.2f}°, RTE {row['rte_meters']:.3f} m, RMSE {row['rmse_meters']:.3f} m", fontsize=8
     )
@@ -104,31 +95,13 @@ def _oblique(points: NDArray[Any]) -> NDArray[Any]:
     return flat
 
 
-def _scatter(ax: Axes, source: NDArray[Any], target: NDArray[Any]) -> None:
-    """Both clouds, their points mixed so that neither hides the other."""
+def _scatter(ax: Axes, source: NDArray[Any], target: NDArray[Any], extent: NDArray[Any]) -> None:
+    """Draw both clouds, their points mixed so that neither hides the other, in a panel that shows what most points
+    (P, 2) of ``extent`` fill."""
     points = np.concatenate((source, target))
     rows = np.random.default_rng(0).permutation(len(points))
     color = np.where(rows < len(source), SOURCE_COLOR, TARGET_COLOR)
     size = float(np.clip(12_000 / max(len(rows), 1), 0.8, 8.0))
     ax.scatter(points[rows, 0], points[rows, 1], s=size, c=color, marker="s", linewidths=0, rasterized=True)
     ax.tick_params(labelsize=7)
-
-
-def _frame(ax: Axes, points: NDArray[Any]) -> None:
-    """Show what most of the points (P, 2) fill, to scale, all panels in one shape."""
-    low, high = box(points)
-    middle, size = (low + high) / 2, high - low
-    half = (0.5 + _MARGIN) * max(float(size[0]), float(size[1]) / _SHAPE)
-    ax.set_xlim(middle[0] - half, middle[0] + half)
-    ax.set_ylim(middle[1] - _SHAPE * half, middle[1] + _SHAPE * half)
-    ax.set_aspect("equal")
-
-
-def _legend(figure: Figure) -> None:
-    from matplotlib.lines import Line2D
-
-    marks = [
-        Line2D([], [], linestyle="", marker="o", markersize=7, color=color, label=name)
-        for name, color in (("source", SOURCE_COLOR), ("target", TARGET_COLOR))
-    ]
-    figure.legend(handles=marks, loc="outside lower center", ncols=2, frameon=False)
+    set_limits(ax, *padded(box(extent), _MARGIN), _SHAPE)

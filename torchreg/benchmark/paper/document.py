@@ -1,4 +1,4 @@
-"""The tables as one Markdown document and as CSV, with what stands beside them: how ours were made."""
+"""The tables as one Markdown document and as CSV, with an account of how our numbers were made."""
 
 from __future__ import annotations
 
@@ -87,14 +87,7 @@ def overview(rows: Sequence[Row]) -> Table:
 
 
 def markdown(rows: Sequence[Row], pictures: Sequence[Picture], machine: str, *, quick: bool = False) -> str:
-    """The whole document.
-
-    Args:
-        rows: all of them.
-        pictures: each stands behind the tables of its experiment.
-        machine: the last line.
-        quick: warns that the numbers are not comparable.
-    """
+    """The whole document, ``machine`` its last line; ``quick`` adds a warning that the numbers are not comparable."""
     parts = ["# The paper's experiments", *([QUICK] if quick else []), SETUP, DEVIATIONS]
     real = {group.name for group in GROUPS if group.real}
     parts += [REAL] if any(row["group"] in real for row in errors_of(rows)) else []
@@ -102,7 +95,7 @@ def markdown(rows: Sequence[Row], pictures: Sequence[Picture], machine: str, *, 
     for experiment, number in TABLES.items():
         parts += [table.section for table in made.get(number, [])]
         parts += [TIMES] if experiment == 4 and number in made else []
-        parts += [f"![{one.caption}]({one.file})\n\n{one.caption}" for one in pictures if one.section == experiment]
+        parts += [picture.markdown for picture in pictures if picture.section == experiment]
     parts += [overview(rows).section] if errors_of(rows) else []
     return "\n\n".join([*parts, machine]) + "\n"
 

@@ -134,9 +134,8 @@ def _errors(one: Trial, place: Place, setting: PaperSetting, method: str, size: 
 
 
 def _generator(place: int, side: int) -> torch.Generator:
-    """Another stream for every place and side."""
-    seed = int(np.random.SeedSequence((place, side)).generate_state(1)[0])
-    return torch.Generator().manual_seed(seed)
+    """A stream of its own for every place and side."""
+    return torch.Generator().manual_seed(int(np.random.SeedSequence((place, side)).generate_state(1)[0]))
 
 
 def _times(one: Trial, place: Place, setting: PaperSetting, size: RunSize) -> Row:

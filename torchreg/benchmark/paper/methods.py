@@ -8,6 +8,7 @@ from torchreg.benchmark.paper.printed import FPFH, FUSED
 from torchreg.descriptors.pcfh import Pcfh
 from torchreg.registration import PAPER
 from torchreg.registration.options import RegistrationOptions
+from torchreg.solvers import RansacOptions
 
 PLAIN_HUE = "FPFH + PCFH, hue not equalized"
 
@@ -36,7 +37,7 @@ def options_of(
         refit: ``False`` takes the hypothesis with the most inliers as it is, which may be what the paper did.
     """
     options = PAPER.scaled(scale)
-    ransac = replace(options.ransac, hypotheses=hypotheses)
+    ransac = RansacOptions(hypotheses=hypotheses, inlier_threshold=options.inlier_threshold)
     options = replace(options, solver=ransac if refit else replace(ransac, local_optimization=0, scoring="count"))
     if method == FPFH:
         return options.without_color()

@@ -27,12 +27,7 @@ def draw(
 ) -> Iterator[Picture]:
     """Draw and write everything that the rows allow; yields each picture.
 
-    Args:
-        rows: what was measured.
-        folder: where the files go.
-        places: of the run; of each group as in the paper the first one is drawn.
-        experiments: which.
-        size: of the run.
+    Clouds are drawn of the first place of each group that was scanned as in the paper.
     """
     first = {place.group.name: place for place in reversed(places) if place.group.paper}
     for experiment in experiments:
@@ -65,8 +60,8 @@ def _clouds(folder: Path, rows: Sequence[Row], place: Place, experiment: int, si
     number = FIGURES[experiment]
     name = f"figure{number}_{place.group.name.replace(' ', '_')}.png"
     title = (
-        f"As in the paper's Figure {number}: {place.name}, {place.group.title}\n"
-        "left as given, then under what each method found: seen along z of the source, rooms cut open halfway; meters"
+        f"As in the paper's Figure {number}: {place.name}, {place.group.title}; left as given, then under the pose of "
+        "each method, seen along z of the source, rooms cut open halfway; meters"
     )
     save_figure(clouds_figure(settings, title), folder / name)
-    return Picture(experiment, name, f"{place.name}: the initial pose, and what each method found.")
+    return Picture(experiment, name, f"{place.name}: the initial pose, and the pose that each method returned.")

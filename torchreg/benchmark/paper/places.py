@@ -2,7 +2,7 @@
 
 The paper scanned twice from the same place and then moved the target by an artificial transform, so that the truth is
 exact. The simulated scans are taken likewise: the scanner is set up twice within 0.1 m, each scan with noise, light and
-passers-by of its own. Stations farther apart are the harder case that surveys have.
+passers-by of its own. Stations farther apart, as surveys have them, are harder.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ class Place:
     """One pair of scans.
 
     Attributes:
-        group: what it stands for.
+        group: of which it is a member.
         name: different for every place.
-        number: of the place within its group, which seeds what is drawn for it.
+        number: of the place within its group, which seeds its random draws.
         scale: of the paper's lengths.
         scan: makes or reads the two scans.
     """
@@ -133,7 +133,7 @@ def real_places(path: Path, seed: int) -> tuple[Place, ...]:
             group=REAL_OUTDOOR if pair.outdoor else REAL,
             name=pair.name,
             number=seed,
-            scale=pair.voxel / PAPER.ransac.inlier_threshold,
+            scale=pair.voxel / PAPER.inlier_threshold,
             scan=partial(_read, pair),
         )
         for pair in listed

@@ -44,4 +44,4 @@ SECONDS: dict[tuple[str, str], float] = {
     ("1k", FUSED): 0.0011,
     ("0.5k", FUSED): 0.0009,
 }
-"""Seconds by point count and method. 0.00036 reads like a slip for 0.0036; it stands as printed."""
+"""Seconds by point count and method. 0.00036 reads like a slip for 0.0036; it is given as printed."""

@@ -92,13 +92,9 @@ def spread_of(values: Sequence[float]) -> Spread:
 
 
 def error_table(experiment: int, group: PlaceGroup, cells: Cells, part: str = "") -> Table:
-    """The paper's table of one experiment, its numbers beside ours on one group of places.
+    """The paper's table of experiment 1, 2, 3 or 5, its numbers beside ours on one group of places.
 
-    Args:
-        experiment: 1, 2, 3 or 5.
-        group: which places.
-        cells: of ``summarize``; what is not there is left open.
-        part: a letter behind the number of the table.
+    Cells that are missing are left open; ``part`` is a letter behind the number of the table.
     """
     settings = [setting.name for setting in settings_of(experiment)]
     blocks = [_block(experiment, method, settings, group, cells) for method in METHODS]

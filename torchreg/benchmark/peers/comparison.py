@@ -1,4 +1,4 @@
-"""Methods over pairs of known truth: the study, its rows, and what all its documents say."""
+"""Methods compared on pairs of known truth: the study, its rows, and the sections that all its documents have."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ class TruePair:
 
     Attributes:
         name: different for every pair.
-        facts: what its rows say of it besides, ``scene`` among it.
+        facts: further values of its rows, ``scene`` among them.
         read: reads both clouds, not yet downsampled.
         voxel: meters, the voxels that they are averaged over.
-        near: meters; a match is an inlier, and a source point overlaps, where the truth brings it nearer.
+        near: meters; a match is an inlier, and a source point overlaps, where it is nearer to its partner under the
+            truth.
         T_true: (4, 4) float64, meters, origins included.
         information: (6, 6) of the true matches, where it is known.
     """
@@ -68,10 +69,33 @@ class MethodComparison(NamedTuple):
         return [method.title, "not installed" if method.name in self.gaps else "not run", *["-"] * (width - 1)]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ComparisonOptions:
+    """Which methods are compared on which pairs, and how they run.
+
+    Attributes:
+        methods: their names; ``None`` takes all.
+        scenes: whose pairs are taken; ``None`` takes all.
+        quick: one pair of every scene alone; slow methods only where they are named.
+        device: where torchreg computes.
+        seed: of every random draw and of the intervals.
+    """
+
+    methods: Sequence[str] | None = None
+    scenes: Sequence[str] | None = None
+    quick: bool = False
+    device: str = "cpu"
+    seed: int = 0
+
+
+EVERYTHING = ComparisonOptions()
+"""Every method on every pair."""
+
+
 def comparison_study(
     name: str,
-    pairs: Sequence[TruePair],
-    methods: Sequence[str] | None,
+    listed: Sequence[TruePair],
+    options: ComparisonOptions,
     settings: Mapping[str, Any],
     *,
     title: str,
@@ -79,33 +103,30 @@ def comparison_study(
     tables: Callable[[MethodComparison], list[Table]],
     csv: Callable[[MethodComparison], str],
     shown: int,
-    seed: int,
-    device: str,
-    quick: bool,
+    rank: Callable[[TruePair], float],
 ) -> Study:
     """The study of methods over pairs.
 
     Args:
         name: of the files, NAME.csv among them.
-        pairs: what is registered.
-        methods: names; ``None`` takes all.
+        listed: the pairs to choose from.
+        options: which of them, and which methods.
         settings: what every row depends on beside the seed and the device.
         title: of the document.
-        caption: what stands above its tables.
+        caption: the text above its tables.
         tables: all of them.
         csv: the numbers in them.
         shown: how many tables a terminal shows.
-        seed: of every random draw and of the intervals.
-        device: where torchreg computes.
-        quick: slow methods run only where they are named.
+        rank: a quick run takes the first pair of the highest rank of every scene.
 
     Raises:
-        ValueError: a name that no method has.
+        ValueError: a name that no method or no scene has.
     """
-    chosen = chosen_methods(methods, quick=quick)
+    chosen = chosen_methods(options.methods, quick=options.quick)
+    pairs = _chosen_pairs(listed, options, rank)
     gaps = {method.name: why for method in chosen if (why := method.gap())}
-    comparison = MethodComparison((), chosen, gaps, seed)
-    measure = _measurement(pairs, seed, device)
+    comparison = MethodComparison((), chosen, gaps, options.seed)
+    measure = _measurement(pairs, options.seed, options.device)
 
     def of(rows: list[Row]) -> MethodComparison:
         return comparison._replace(rows=rows)
@@ -125,29 +146,30 @@ def comparison_study(
             for number, pair in enumerate(pairs)
             for method in chosen
         ],
-        settings={**settings, "seed": seed, "device": device},
+        settings={**settings, "seed": options.seed, "device": options.device},
         run={"methods": [method.name for method in chosen]},
         document=document,
         content=lambda rows: {"gaps": gaps, "rows": rows},
         csv=lambda rows: {f"{name}.csv": csv(of(rows))},
         shown=lambda rows: tables(of(rows))[:shown],
         remarks=[f"{method.title} is left out: {gaps[method.name]}" for method in chosen if method.name in gaps],
-        device=device,
+        device=options.device,
     )
 
 
-def chosen_scenes(scenes: Sequence[str] | None, known: Sequence[str]) -> Sequence[str]:
-    """The scenes to measure out of the known ones; ``None`` takes all.
-
-    Raises:
-        ValueError: none, or an unknown one.
-    """
-    if scenes is None:
-        return known
+def _chosen_pairs(
+    listed: Sequence[TruePair], options: ComparisonOptions, rank: Callable[[TruePair], float]
+) -> list[TruePair]:
+    by_scene: dict[str, list[TruePair]] = {}
+    for pair in listed:
+        by_scene.setdefault(pair.facts["scene"], []).append(pair)
+    scenes = tuple(by_scene) if options.scenes is None else options.scenes
     expect(len(scenes) > 0, "scenes", "at least one", scenes)
     for scene in scenes:
-        expect(scene in known, "scenes", "scenes out of " + ", ".join(dict.fromkeys(known)), scene)
-    return scenes
+        expect(scene in by_scene, "scenes", "scenes out of " + ", ".join(by_scene), scene)
+    if options.quick:
+        return [max(pairs, key=rank) for scene, pairs in by_scene.items() if scene in scenes]
+    return [pair for pair in listed if pair.facts["scene"] in scenes]
 
 
 def _measurement(pairs: Sequence[TruePair], seed: int, device: str) -> Callable[[int, Method], Row]:

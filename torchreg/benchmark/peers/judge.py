@@ -1,4 +1,4 @@
-"""A method on a pair: its answer against the truth, as plain numbers."""
+"""The answer of a method for a pair against the truth, as plain numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def judged(
         method: which one.
         task: the pair.
         T_true: (4, 4) float64, meters, origins included.
-        near: meters; a match is an inlier, and a source point overlaps, where the truth brings it nearer.
+        near: meters; a match is an inlier, and a source point overlaps, where it is nearer to its partner under the
+            truth.
         information: (6, 6) of the true matches, where it is known.
 
     Returns:

@@ -12,29 +12,10 @@ import torch
 from torch import Tensor
 
 from torchreg.benchmark.peers.method import Answer, Method, PeerMatches, Task, no_pose, with_origins
-from torchreg.geometry.se3 import rigid
 from torchreg.types import Correspondences
 
 _LEAST = 50
 """Points; on a dozen, none of which it can describe, it ends the whole process."""
-
-
-def kiss_solve(source: Tensor, target: Tensor, threshold: float) -> Tensor:
-    """Its solver alone: the pose (4, 4) float64 of matched points, both of its noise bounds the threshold.
-
-    Args:
-        source: (M, 3), meters.
-        target: (M, 3), row by row the partners.
-        threshold: meters.
-
-    Raises:
-        ImportError: the package is not installed.
-    """
-    import kiss_matcher
-
-    config = kiss_matcher.KISSMatcherConfig(voxel_size=threshold, solver_noise_bound_gain=1.0)
-    solution = kiss_matcher.KISSMatcher(config).prune_and_solve(_points(source), _points(target))
-    return rigid(*_pose(solution))
 
 
 def kiss_register(task: Task) -> Answer:

@@ -1,4 +1,4 @@
-"""What peers without features of their own start from: normals and FPFH by Open3D, mutual matches."""
+"""The input of peers that have no features: normals and FPFH by Open3D, mutual matches."""
 
 from __future__ import annotations
 

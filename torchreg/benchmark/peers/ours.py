@@ -9,8 +9,6 @@ import torchreg as tr
 from torchreg.benchmark.peers.method import Answer, Method, PeerMatches, Task
 from torchreg.registration import options_for
 
-Options = Callable[[Task], tr.RegistrationOptions]
-
 
 def fpfh_alone(task: Task) -> tr.RegistrationOptions:
     """FPFH, mutual matches, RANSAC: the procedure that Open3D has too."""
@@ -28,7 +26,7 @@ def paper_preset(task: Task) -> tr.RegistrationOptions:
     )
 
 
-def _at(effort: str) -> Options:
+def _at(effort: str) -> Callable[[Task], tr.RegistrationOptions]:
     def options(task: Task) -> tr.RegistrationOptions:
         colored = task.source.colors is not None and task.target.colors is not None
         return options_for(task.voxel, colored=colored, effort=effort)
@@ -36,21 +34,19 @@ def _at(effort: str) -> Options:
     return options
 
 
-def _method(name: str, title: str, statement: str, options: Options) -> Method:
+def _method(name: str, title: str, statement: str, options: Callable[[Task], tr.RegistrationOptions]) -> Method:
     def run(task: Task) -> Answer:
         source, target = task.source.to(task.device), task.target.to(task.device)
         result = tr.register(source, target, options(task), seed=task.seed)
+        rows = result.correspondences
+        matches = tr.Correspondences(rows.source.cpu(), rows.target.cpu(), rows.offsets, rows.score.cpu())
         return Answer(
             T_target_source=result.T_target_source[0].cpu(),
             success=bool(result.success[0]),
-            matches=PeerMatches(result.source.to("cpu"), result.target.to("cpu"), _on_cpu(result.correspondences)),
+            matches=PeerMatches(result.source.to("cpu"), result.target.to("cpu"), matches),
         )
 
     return Method(name=name, title=title, statement=statement, run=run)
-
-
-def _on_cpu(matches: tr.Correspondences) -> tr.Correspondences:
-    return tr.Correspondences(matches.source.cpu(), matches.target.cpu(), matches.offsets, matches.score.cpu())
 
 
 _EFFORT = "FPFH and color, compatibility graph, poses weighed on the clouds and refined by ICP"

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import fmean, median
 
 from torchreg.benchmark.core.rows import Row
+from torchreg.benchmark.core.study import Picture
 from torchreg.benchmark.core.tables import markdown_table
 from torchreg.benchmark.core.timing import spread
 from torchreg.benchmark.speed.grid import RANSAC, STAGES, WHOLE
@@ -111,11 +112,13 @@ def slope(sizes: Sequence[float], costs: Sequence[float]) -> float:
     return sum((a - mx) * (b - my) for a, b in zip(x, y, strict=True)) / sum((a - mx) ** 2 for a in x)
 
 
-def draw(rows: Sequence[Row], path: Path) -> None:
+def draw(rows: Sequence[Row], folder: Path) -> Iterator[Picture]:
     """Draw and save seconds over points, one panel per stage, both axes logarithmic."""
     from matplotlib.figure import Figure
 
     names = [name for name in STAGES if any(row["subject"] == name for row in rows)]
+    if not names:
+        return
     figure = Figure(figsize=(3.1 * len(names), 3.4), layout="constrained")
     panels = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
     for panel, name in zip(panels, names, strict=True):
@@ -135,7 +138,8 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(METHODS), frameon=False)
-    figure.savefig(path, dpi=110)
+    figure.savefig(folder / "speed.png", dpi=110)
+    yield Picture(None, "speed.png", "Seconds of every stage over the number of points.")
 
 
 def size_of(row: Row) -> str:

@@ -45,15 +45,10 @@ class TimedCell:
     build: Subject
 
     @property
-    def label(self) -> str:
-        """The key for a reader, without a count that does not apply."""
+    def key(self) -> str:
+        """The name of the cell, different for every one."""
         drawn = f", {self.hypotheses:,} hypotheses" if self.hypotheses else ""
         return f"{self.subject}, {self.points:,} points, {self.neighbors} neighbors{drawn}"
-
-    @property
-    def key(self) -> str:
-        """Different for every cell."""
-        return f"{self.subject}, {self.points} points, {self.neighbors} neighbors, {self.hypotheses} hypotheses"
 
 
 def cells(points: tuple[int, ...] = POINTS) -> Iterator[TimedCell]:

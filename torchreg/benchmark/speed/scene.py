@@ -22,7 +22,7 @@ _COARSE_UP_TO = 100_000
 
 @dataclass(frozen=True, eq=False)
 class TimedCloud:
-    """One cloud with what the stages hand on.
+    """One cloud, and the results of its stages that later ones take.
 
     Attributes:
         cloud: with colors, without normals.

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import torch
 
+from torchreg.benchmark.core.memory import CAN_MEASURE, peak_bytes
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Cell, Picture, Study
 from torchreg.benchmark.core.timing import interleaved
 from torchreg.benchmark.speed.document import draw, growth_table, markdown, times_table
-from torchreg.benchmark.speed.grid import POINTS, STAGES, TimedCell, cells
+from torchreg.benchmark.speed.grid import POINTS, TimedCell, cells
 from torchreg.benchmark.speed.scene import Scenes
 from torchreg.errors import expect
 
@@ -26,21 +23,12 @@ QUICK_POINTS = (500, 2_000)
 QUICK_REPEATS = 2
 _WITH_MEMORY = ("FPFH + PCFH with search", "whole pair")  # subjects whose peak memory is measured
 
-_PEAK_CODE = """
-import json, sys
-import torch
+_MAKE_RUN = """
 from torchreg.benchmark.speed.grid import cells
 from torchreg.benchmark.speed.scene import Scenes
-key, method, threads = sys.argv[1:]
-torch.set_num_threads(int(threads))
-cell = next(one for one in cells() if one.key == key)
-run = cell.build(Scenes().scene(cell.points, cell.neighbors))[method]
-def status(name):
-    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith(name))
-open("/proc/self/clear_refs", "w").write("5")  # the peak counts from here
-before = status("VmRSS")
-run()
-print(json.dumps(status("VmHWM") - before))
+torch.set_num_threads({threads})
+cell = next(one for one in cells() if one.key == {key!r})
+run = cell.build(Scenes().scene(cell.points, cell.neighbors))[{method!r}]
 """
 
 
@@ -60,11 +48,11 @@ def speed_study(points: Sequence[int] = POINTS, *, repeats: int = 5, quick: bool
     listed = list(cells(QUICK_POINTS if quick else tuple(points)))
     return Study(
         name="speed",
-        cells=[Cell(cell.key, cell.label, partial(_measured, cell, scenes, repeats, quick)) for cell in listed],
+        cells=[Cell(cell.key, cell.key, partial(_measured, cell, scenes, repeats, quick)) for cell in listed],
         settings={"repeats": repeats, "quick": quick},
         versions=("torchreg", "torch", "open3d", "processor", "threads"),
-        document=lambda rows, _, machine: f"# Speed\n\n{markdown(rows)}\n\n{machine}\n",
-        draw=_chart,
+        document=_document,
+        draw=draw,
         shown=lambda rows: [times_table(rows), growth_table(rows)],
     )
 
@@ -79,29 +67,12 @@ def _measured(cell: TimedCell, scenes: Scenes, repeats: int, quick: bool) -> Row
         "hypotheses": cell.hypotheses,
         "seconds": interleaved(runs, QUICK_REPEATS if quick else repeats, patience=PATIENCE),
     }
-    if cell.subject in _WITH_MEMORY and not quick and _counts_peaks():
-        row["bytes"] = {method: _peak_bytes(cell.key, method, torch.get_num_threads()) for method in runs}
+    if cell.subject in _WITH_MEMORY and not quick and CAN_MEASURE:
+        threads = torch.get_num_threads()
+        made = {method: _MAKE_RUN.format(threads=threads, key=cell.key, method=method) for method in runs}
+        row["bytes"] = {method: peak_bytes(code, "run()")["bytes"] for method, code in made.items()}
     return row
 
 
-def _chart(rows: Sequence[Row], folder: Path) -> Iterator[Picture]:
-    if any(row["subject"] in STAGES for row in rows):
-        draw(rows, folder / "speed.png")
-        yield Picture(None, "speed.png", "Seconds of every stage over the number of points.")
-
-
-def _counts_peaks() -> bool:
-    """Whether this system counts the peak memory of a process."""
-    return Path("/proc/self/clear_refs").exists()
-
-
-def _peak_bytes(key: str, method: str, threads: int) -> int:
-    """Bytes above what the process held before, in the first run of a cell of the full grid, in another process.
-
-    Raises:
-        CalledProcessError: the process failed.
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", _PEAK_CODE, key, method, str(threads)], capture_output=True, text=True, check=True
-    )
-    return int(json.loads(done.stdout.strip().splitlines()[-1]))
+def _document(rows: list[Row], pictures: Sequence[Picture], machine: str) -> str:
+    return "\n\n".join(["# Speed", markdown(rows), *(picture.markdown for picture in pictures), machine]) + "\n"

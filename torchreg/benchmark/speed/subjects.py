@@ -1,8 +1,8 @@
-"""What is timed: every stage, and the whole, by this library and by Open3D.
+"""What is timed: every stage and the whole pair, by this library and by Open3D.
 
 Open3D's classic pipeline computes in float64 and searches neighbors anew in every stage; its tensor pipeline computes
-in float32. Our stages take neighborhoods that are at hand; the search is a row of
-its own. Open3D has no color histograms, so FPFH and PCFH together stand against its FPFH alone.
+in float32. Our stages take given neighborhoods; the search is a row of its own. Open3D has no color histograms, so FPFH
+and PCFH together are compared with its FPFH alone.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def search(scene: TimedScene) -> dict[str, Run]:
 
 
 def normals(scene: TimedScene) -> dict[str, Run]:
-    """Normals, 30 nearest within 2 spacings, neighborhoods at hand."""
+    """Normals, 30 nearest within 2 spacings, neighborhoods given."""
     side, radius = scene.source, 2 * scene.source.spacing
     near = side.near.restrict(radius, 30)
     classic, tensor = point_cloud(side.cloud), _tensor_cloud(side, oriented=False)
@@ -62,13 +62,13 @@ def normals(scene: TimedScene) -> dict[str, Run]:
 
 
 def fpfh_alone(scene: TimedScene) -> dict[str, Run]:
-    """FPFH, neighborhoods at hand."""
+    """FPFH, neighborhoods given."""
     side = scene.source
     return {**_ours(lambda: fpfh(side.oriented, side.near)), **_open3d_fpfh(side)}
 
 
 def fpfh_and_pcfh(scene: TimedScene) -> dict[str, Run]:
-    """FPFH and PCFH, neighborhoods at hand."""
+    """FPFH and PCFH, neighborhoods given."""
     side = scene.source
     color = side.near.restrict(2 * side.spacing)
 

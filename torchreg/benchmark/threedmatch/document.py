@@ -1,4 +1,4 @@
-"""The tables that papers print, a method per row and a scene per column; the CSV, and what stands above them."""
+"""The tables that papers print, a method per row and a scene per column, their caption, and the CSV."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def tables(comparison: MethodComparison) -> list[Table]:
 
 
 def csv_text(comparison: MethodComparison) -> str:
-    """One line a scene (or "mean"), method and measure."""
+    """One line per scene (or "mean"), method and measure."""
     scenes = list(dict.fromkeys(row["scene"] for row in comparison.rows))
     lines: list[list[object]] = []
     for method in comparison.methods:
@@ -69,11 +69,11 @@ def csv_text(comparison: MethodComparison) -> str:
 
 
 def caption(comparison: MethodComparison, voxel: float) -> str:
-    """What stands above the tables; ``voxel`` in meters."""
+    """The caption above the tables; ``voxel`` in meters."""
     by_points = any(row["information_rmse_m"] is None for row in comparison.rows)
     parts = [
         f"Clouds averaged over voxels of {voxel:g} m. Registration recall: share of the pairs whose fragments "
-        f"do not follow one another with an error of at most {protocol.RMSE:g} m, the root mean square over the true "
+        f"are not consecutive, with an error of at most {protocol.RMSE:g} m, the root mean square over the true "
         "matches by the information matrix. Feature-match recall and inlier ratio: of all pairs of the log, matches "
         f"within {protocol.NEAR:g} m under the truth, pairs with more than "
         f"{100 * protocol.LEAST_INLIER_RATIO:g} % of them. RRE and RTE: means over the pairs recalled. Behind a scene, "

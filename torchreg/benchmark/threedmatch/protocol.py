@@ -19,10 +19,10 @@ RMSE = 0.2
 """Meters."""
 
 NEAR = 0.1
-"""Meters; a match is an inlier that the truth brings nearer."""
+"""Meters; a match whose points lie nearer to each other under the truth is an inlier."""
 
 LEAST_INLIER_RATIO = 0.05
-"""That feature-match recall asks for."""
+"""Above which feature-match recall counts a pair."""
 
 
 class SceneScore(NamedTuple):

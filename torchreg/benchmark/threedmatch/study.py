@@ -4,41 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from torchreg.benchmark.core.study import Study
-from torchreg.benchmark.peers.comparison import TruePair, chosen_scenes, comparison_study
+from torchreg.benchmark.peers.comparison import EVERYTHING, ComparisonOptions, TruePair, comparison_study
 from torchreg.benchmark.threedmatch.document import caption, csv_text, tables
-from torchreg.benchmark.threedmatch.protocol import NEAR
+from torchreg.benchmark.threedmatch.protocol import NEAR, counts
 from torchreg.datasets import Fragments
 from torchreg.types import Clouds
 
 
 def fragments_study(
-    folder: Path,
-    *,
-    log: Path | None = None,
-    methods: Sequence[str] | None = None,
-    scenes: Sequence[str] | None = None,
-    voxel: float = 0.05,
-    quick: bool = False,
-    device: str = "cpu",
-    seed: int = 0,
+    folder: Path, options: ComparisonOptions = EVERYTHING, *, log: Path | None = None, voxel: float = 0.05
 ) -> Study:
-    """The study of methods on scenes of fragments.
+    """The study of methods on scenes of fragments; a quick run takes the first pair that registration recall counts.
 
     Args:
         folder: a scene, or a folder of scenes, as ``Fragments`` takes it.
+        options: what is compared.
         log: which log, as ``Fragments`` takes it.
-        methods: their names; ``None`` takes all.
-        scenes: folders whose pairs are taken; ``None`` takes all.
         voxel: meters, what all clouds are averaged over.
-        quick: of every scene only the first pair whose fragments do not follow one another; slow methods only where
-            they are named.
-        device: where torchreg computes.
-        seed: of every random draw and of the intervals.
 
     Raises:
         CloudFileError: what ``Fragments`` refuses.
@@ -47,8 +33,8 @@ def fragments_study(
     dataset = Fragments(folder, log=log)
     return comparison_study(
         "3dmatch",
-        chosen_pairs(dataset, scenes, voxel, quick=quick),
-        methods,
+        [_true_pair(dataset, k, voxel) for k in range(len(dataset.names))],
+        options,
         {
             "folder": os.path.abspath(folder),
             "log": None if log is None else str(log),
@@ -60,25 +46,8 @@ def fragments_study(
         tables=tables,
         csv=csv_text,
         shown=3,
-        seed=seed,
-        device=device,
-        quick=quick,
+        rank=lambda pair: counts(pair.facts),
     )
-
-
-def chosen_pairs(
-    dataset: Fragments, scenes: Sequence[str] | None, voxel: float, *, quick: bool = False
-) -> list[TruePair]:
-    """The pairs of some scenes, or with ``quick`` the first of each that registration recall counts."""
-    wanted = chosen_scenes(scenes, dataset.scenes)
-    pairs = [_true_pair(dataset, k, voxel) for k, scene in enumerate(dataset.scenes) if scene in wanted]
-    if not quick:
-        return pairs
-    first: dict[str, TruePair] = {}
-    for pair in pairs:
-        if pair.facts["j"] - pair.facts["i"] > 1:
-            first.setdefault(pair.facts["scene"], pair)
-    return list(first.values())
 
 
 def _truth(dataset: Fragments) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.facts import FIRM, Facts
-from torchreg.report.text import chance, decimal, meters, odds, percent, portion
+from torchreg.report.text import chance, decimal, meters, odds, percent, share
 from torchreg.solvers import RansacOptions
 
 _MOST = 2
@@ -66,15 +66,15 @@ def _threshold(facts: Facts) -> str:
 
 
 def _features(facts: Facts) -> str:
-    if facts.stages is None or facts.options is None or min(facts.stages.points) == 0:
+    if facts.stages is None or facts.radius is None or min(facts.stages.points) == 0:
         return ""
     count, whole = min(
         zip(facts.stages.described, facts.stages.points, strict=True), key=lambda pair: pair[0] / pair[1]
     )
     if count >= _FEW_FEATURES * whole:
         return ""
-    now = meters(facts.options.feature_radius)
-    return f"a larger feature_radius (now {now}): only {portion(count, whole)} points have a feature"
+    wider = f"a larger radius of the descriptors (now {meters(facts.radius)})"
+    return f"{wider}: only {share(count, whole)} points have a feature"
 
 
 def _matches(facts: Facts) -> str:
@@ -102,17 +102,19 @@ def _hypotheses(facts: Facts) -> str:
 
 
 def _inliers(facts: Facts) -> str:
-    if facts.matches == 0 or facts.inliers >= _FEW_INLIERS * facts.matches or facts.options is None:
+    if facts.matches == 0 or facts.inliers >= _FEW_INLIERS * facts.matches:
         return ""
-    agree = f"only {portion(facts.inliers, facts.matches)} matches agree"
+    if facts.options is None or facts.radius is None:
+        return ""
+    agree = f"only {share(facts.inliers, facts.matches)} matches agree"
     if facts.options.effort == "thorough":
-        radius = meters(facts.options.feature_radius)
-        return f"a larger feature_radius (now {radius}), for features that tell more places apart: {agree}"
+        wider = f"a larger radius of the descriptors (now {meters(facts.radius)})"
+        return f"{wider}, for features that tell more places apart: {agree}"
     return f'effort="thorough" (now "{facts.options.effort}"), which tries more features and both solvers: {agree}'
 
 
 def _colors(facts: Facts) -> str:
-    if facts.options is None or (facts.colored and facts.options.color):
+    if facts.options is None or (facts.colored and any(record.needs_colors for record in facts.options.descriptors)):
         return ""
     if not facts.colored:
         return "clouds with colors, which tell places of the same shape apart: geometry alone was matched"
@@ -128,11 +130,9 @@ def _viewpoint(facts: Facts) -> str:
 def _context(facts: Facts) -> str:
     if facts.margin is None or facts.margin >= _CLOSE_MARGIN:
         return ""
-    if facts.options is None:
-        wider = "a larger feature radius"
-    else:
-        wider = f"a larger feature_radius (now {meters(facts.options.feature_radius)}) or voxel_size"
-    return f"{wider}, which takes in more of the surroundings: the odds over the runner-up are {odds(facts.margin)}"
+    now = "" if facts.radius is None else f" (now {meters(facts.radius)})"
+    wider = f"a larger radius of the descriptors{now} or voxel_size, which takes in more of the surroundings"
+    return f"{wider}: the odds over the runner-up are {odds(facts.margin)}"
 
 
 def _overlap(facts: Facts) -> str:
@@ -148,10 +148,10 @@ def _strength(facts: Facts) -> str:
 
 
 def _conflict(facts: Facts) -> str:
-    share = facts.candidates[0].conflict if facts.candidates else 0.0
-    if not share > _MUCH_CONFLICT:
+    conflict = facts.candidates[0].conflict if facts.candidates else 0.0
+    if not conflict > _MUCH_CONFLICT:
         return ""
-    return f"correct viewpoints, and clouds without what moved: {percent(share)} stand where free space was seen"
+    return f"correct viewpoints, and clouds without what moved: {percent(conflict)} stand where free space was seen"
 
 
 def _normals(facts: Facts) -> str:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.advice import advice
 from torchreg.report.explain.facts import FIRM, WEAK, Facts, facts_of
-from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, portion
+from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, share
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
 _SHOWN = 6
@@ -60,7 +59,7 @@ def meaning_of_strength(strength: float) -> str:
 def _stages(facts: Facts) -> Iterator[str]:
     """Points, features, every set of features with its solver, and notes."""
     if facts.stages is not None:
-        yield from _points(facts.stages, facts.options)
+        yield from _points(facts.stages, facts)
     if facts.stages is not None and facts.stages.proposals:
         for proposal in facts.stages.proposals:
             poses = f"{proposal.poses:,} {'pose' if proposal.poses == 1 else 'poses'}"
@@ -74,12 +73,13 @@ def _stages(facts: Facts) -> Iterator[str]:
         within = "" if facts.threshold is None else f" within {meters(facts.threshold)}"
         yield line("Matches", f"{facts.matches:,}")
         yield line("Hypotheses", drawn)
-        yield line("Inliers", f"{portion(facts.inliers, facts.matches)} matches{within}")
+        yield line("Inliers", f"{share(facts.inliers, facts.matches)} matches{within}")
     for note in facts.notes:
         yield line("Note", note)
 
 
-def _points(stages: StageCounts, options: RegistrationOptions | None) -> Iterator[str]:
+def _points(stages: StageCounts, facts: Facts) -> Iterator[str]:
+    options = facts.options
     (source, target), (few_source, few_target) = stages.given, stages.points
     given = f"{source:,} (source) and {target:,} (target) given"
     if options is not None and options.voxel_size is not None:
@@ -89,8 +89,8 @@ def _points(stages: StageCounts, options: RegistrationOptions | None) -> Iterato
     else:
         given += ", used as they are"
     pairs = zip(stages.described, stages.points, strict=True)
-    described = " and ".join(portion(count, whole) for count, whole in pairs)
-    radius = "" if options is None else f", from {meters(options.feature_radius)} about each"
+    described = " and ".join(share(count, whole) for count, whole in pairs)
+    radius = "" if facts.radius is None else f", from {meters(facts.radius)} about each"
     yield line("Points", given)
     yield line("Features", f"{described} have one{radius}")
 

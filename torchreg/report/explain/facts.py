@@ -19,27 +19,13 @@ WEAK, FIRM = 0.03, 0.1
 class Facts(NamedTuple):
     """One pair in plain numbers; ``None`` for a figure that was not computed, or of a pose where there is none.
 
+    The names are those of ``RegistrationResult`` and of its ``HypothesisCounts``, and these:
+
     Attributes:
-        success: the verdict.
-        failure: why not, ``None`` beside success.
-        notes: on the pair.
         colored: whether both clouds that were matched have colors.
         unknown_viewpoints: which of "source" and "target" have none.
-        options: that it was run with.
-        stages: what each stage had.
-        matches: correspondences.
-        inliers: of these.
-        drawn: hypotheses.
-        kept: of these, by the first test.
-        scored: of these.
-        fitness: share of source points near the target.
-        inlier_rmse: meters.
-        probability: of being right.
-        overlap: mean over both directions.
-        strength: in [0, 1].
-        margin: log-odds over the runner-up, infinite where there is none.
+        matches, inliers: counts of the correspondences and of those that agree with the pose.
         apart: degrees and meters between the pose and its runner-up.
-        candidates: best first.
     """
 
     success: bool
@@ -67,6 +53,11 @@ class Facts(NamedTuple):
     def threshold(self) -> float | None:
         """The inlier threshold, meters."""
         return None if self.options is None else self.options.inlier_threshold
+
+    @property
+    def radius(self) -> float | None:
+        """The support radius of the first descriptor, meters."""
+        return None if self.options is None else self.options.descriptors[0].radius
 
 
 def facts_of(result: RegistrationResult, pair: int) -> Facts:
