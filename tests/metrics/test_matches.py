@@ -1,6 +1,7 @@
 """Correspondences under the truth: by hand-made values, problems of known truth, and a plain loop over points."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -47,10 +48,13 @@ def test_hand_made_values():
     assert ratio.tolist() == [0.5]  # a distance of the threshold is out
 
 
+def ratio_of(problem, threshold=0.1):
+    return tr.metrics.inlier_ratio(problem.source, problem.target, problem.matches, problem.T_target_source, threshold)
+
+
 @pytest.mark.parametrize("outlier_ratio", [0.0, 0.25, 0.9, 1.0])
 def test_the_ratio_of_a_problem_is_known(outlier_ratio):
-    problem = correspondence_problem(200, outlier_ratio, size=50.0)
-    ratio = tr.metrics.inlier_ratio(*problem[:4], 0.1)
+    ratio = ratio_of(correspondence_problem(200, outlier_ratio, size=50.0))
     assert ratio.tolist() == pytest.approx([1 - outlier_ratio], abs=0.006)
 
 
@@ -60,7 +64,7 @@ def test_origins_are_taken_into_account():
     source = tr.Clouds(points=problem.source.points, origin=at)
     shift = EYE.clone()
     shift[0, :3, 3] = -at[0]
-    expected = tr.metrics.inlier_ratio(*problem[:4], 0.1)
+    expected = ratio_of(problem)
     T = problem.T_target_source @ shift
     assert tr.metrics.inlier_ratio(source, problem.target, problem.matches, T, 0.1).tolist() == expected.tolist()
 
@@ -68,10 +72,10 @@ def test_origins_are_taken_into_account():
 def test_a_batch_equals_the_loop_over_its_pairs():
     problems = [correspondence_problem(50 + 10 * b, 0.2 * b, seed=b) for b in range(4)]
     none = torch.zeros(0, dtype=torch.int64)
-    problems[2] = problems[2]._replace(matches=matched(none, none))
+    problems[2] = replace(problems[2], matches=matched(none, none))
     T = torch.cat([problem.T_target_source for problem in problems])
     together = tr.metrics.inlier_ratio(*pack_problems(problems), T, 0.1)
-    assert together.tolist() == [float(tr.metrics.inlier_ratio(*problem[:4], 0.1)) for problem in problems]
+    assert together.tolist() == [float(ratio_of(problem)) for problem in problems]
     assert together[2] == 0
 
 
@@ -84,9 +88,9 @@ def test_feature_match_recall_counts_pairs_above_the_least_ratio():
 def test_what_does_not_fit_is_refused():
     problem = correspondence_problem(10)
     with refuses("threshold", "above 0"):
-        tr.metrics.inlier_ratio(*problem[:4], -1)
+        ratio_of(problem, -1)
     with refuses("T_target_source", "(1, 4, 4)"):
-        tr.metrics.inlier_ratio(*problem[:3], EYE[0], 0.1)
+        ratio_of(replace(problem, T_target_source=EYE[0]))
     with refuses("inlier_ratios", "(B,)", "(2, 2)"):
         tr.metrics.feature_match_recall(torch.zeros(2, 2))
 
