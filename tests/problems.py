@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -29,9 +30,34 @@ class RoomPair(NamedTuple):
     T_target_source: Tensor
 
 
-def numbers(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Normal numbers, other ones for every seed."""
-    return torch.randn(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def numbers(*shape: int, seed: int = 0) -> Tensor:
+    """Normal numbers in float64, other ones for every seed and size."""
+    return torch.randn(*shape, dtype=torch.float64, generator=seeded(seed + sum(shape)))
+
+
+def uniform(*shape: int) -> Tensor:
+    """Numbers in [0, 1), other ones for every size."""
+    return torch.rand(*shape, generator=seeded(sum(shape)))
+
+
+def random_points(count: int, seed: int = 0, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Points (P, 3) in a cube of 1 m."""
+    return torch.rand(count, 3, generator=seeded(seed), dtype=dtype)
+
+
+def turned(
+    degrees: float, axis: Sequence[float] = (0.0, 0.0, 1.0), translation: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Tensor:
+    """A turn about an axis by Rodrigues' formula, then a shift in meters: (4, 4) float64."""
+    x, y, z = torch.nn.functional.normalize(torch.tensor(axis, dtype=torch.float64), dim=0).tolist()
+    K = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    angle = math.radians(degrees)
+    R = torch.eye(3, dtype=torch.float64) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
+    return rigid(R, torch.tensor(translation, dtype=torch.float64))
 
 
 def random_transform(generator: torch.Generator, reach: float = 5.0) -> Tensor:
@@ -44,6 +70,20 @@ def correspondence_problem(
 ) -> MatchProblem:
     """A ``match_problem`` of middling size, as most tests need it."""
     return match_problem(count, outlier_ratio, noise=noise, **options)
+
+
+def columns(problem: MatchProblem, dtype: torch.dtype | None = None) -> tuple[Tensor, Tensor]:
+    """Source and target points (3, M) of the matches."""
+    source = problem.source.points[problem.matches.source].t().contiguous()
+    target = problem.target.points[problem.matches.target].t().contiguous()
+    return source.to(dtype), target.to(dtype)
+
+
+def features(values: Tensor, lengths: list[int] | None = None, valid: Tensor | None = None) -> tr.Features:
+    """Features of one block, all valid by default."""
+    valid = torch.ones(len(values), dtype=torch.bool) if valid is None else valid
+    offsets = offsets_of([len(values)] if lengths is None else lengths)
+    return tr.Features(values, offsets, (("any", values.shape[1]),), valid)
 
 
 def matched(source: Tensor, target: Tensor) -> tr.Correspondences:

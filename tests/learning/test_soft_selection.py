@@ -3,7 +3,7 @@
 import pytest
 import torch
 from closeness import close
-from problems import correspondence_problem, random_transform
+from problems import correspondence_problem, random_transform, seeded
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
@@ -16,10 +16,6 @@ from torchreg.learning import (
     score_function_loss,
     select_softly,
 )
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def matched(count=60, outlier_ratio=0.5, seed=0):

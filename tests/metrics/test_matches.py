@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from problems import correspondence_problem, matched, pack_problems, random_transform, room_pair
+from problems import correspondence_problem, matched, pack_problems, random_transform, room_pair, turned
 from refusals import refuses
 
 import torchreg as tr
@@ -15,19 +15,10 @@ from torchreg.metrics import information_of_matches, rmse_by_information, rmse_o
 EYE = torch.eye(4, dtype=torch.float64)[None]
 
 
-def turned(axis, degrees):
-    """A rotation about an axis by Rodrigues' formula."""
-    axis = torch.nn.functional.normalize(torch.tensor(axis, dtype=torch.float64), dim=0)
-    x, y, z = axis.tolist()
-    K = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
-    angle = math.radians(degrees)
-    return torch.eye(3, dtype=torch.float64) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
-
-
 def a_little_off(meters, degrees, seed=0):
     g = torch.Generator().manual_seed(seed)
     direction = torch.nn.functional.normalize(torch.randn(3, dtype=torch.float64, generator=g), dim=0)
-    return rigid(turned(torch.randn(3, generator=g).tolist(), degrees), meters * direction)
+    return turned(degrees, torch.randn(3, generator=g).tolist(), (meters * direction).tolist())
 
 
 def by_hand(pair, T_true, T_estimated, threshold):
@@ -156,7 +147,7 @@ def test_the_information_is_the_sum_over_its_points():
 
 def test_half_turns_are_finite_and_far():
     points = torch.randn(50, 3, generator=torch.Generator().manual_seed(0)).double()
-    half = rigid(turned([1.0, 2.0, 0.5], 180.0), torch.zeros(3, dtype=torch.float64))
+    half = turned(180.0, [1.0, 2.0, 0.5])
     error = float(rmse_by_information(torch.eye(4), half, information_of_matches(points)))
     assert math.isfinite(error)
     assert error > 0.5

@@ -8,17 +8,12 @@ import pytest
 import torch
 from closeness import close
 from determinism import same_bits
-from problems import sphere_cloud
+from problems import numbers, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
 from torchreg.descriptors.fuse import rooted
 from torchreg.nn import BinEdges
-
-
-def numbers(*shape, seed=0):
-    return torch.rand(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed + sum(shape)))
-
 
 CLOUD = sphere_cloud(40)
 NEAR = tr.neighbors(CLOUD, 0.9, 10)

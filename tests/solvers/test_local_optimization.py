@@ -5,19 +5,13 @@ import pytest
 import torch
 from closeness import close
 from determinism import THREADS, same_bits, threads
-from problems import correspondence_problem, random_rotation
+from problems import columns, correspondence_problem, random_rotation
 
 from torchreg.solvers.local_optimization import fit, optimize
 from torchreg.solvers.points import PairPoints
 from torchreg.solvers.scoring import by_count, by_msac, score
 
 CENTERS = (torch.zeros(1, 3, dtype=torch.float64),) * 2
-
-
-def columns(problem):
-    source = problem.source.points[problem.matches.source]
-    target = problem.target.points[problem.matches.target]
-    return source.t().contiguous(), target.t().contiguous()
 
 
 def one_pair(source, target, threshold=0.2):

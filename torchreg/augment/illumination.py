@@ -31,8 +31,7 @@ class Illumination(Augmentation):
         exposure: the largest change of brightness, in stops, at most 8.
         gamma: the largest exponent, the least being its inverse; in [1, 4].
         hue: the largest shift of hue, in turns of the color circle, at most 1.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.

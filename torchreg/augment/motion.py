@@ -28,8 +28,7 @@ class RandomMotion(Augmentation):
         angle: degrees, the largest rotation, in [0, 180].
         shift: meters, the radius of the ball from which shifts are drawn evenly.
         axis: ``"any"`` or ``"up"``, the z axis.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -80,8 +79,7 @@ class Jitter(Augmentation):
     Args:
         sigma: meters, the standard deviation before it is cut off.
         clip: standard deviations, the farthest that a coordinate moves.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.

@@ -25,8 +25,7 @@ class RandomCrop(Augmentation):
     Args:
         keep: the share of points that stays is drawn evenly from this range, in [0, 1].
         shape: ``"plane"``, ``"box"`` or ``"sphere"``.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -69,8 +68,7 @@ class RandomThin(Augmentation):
     Args:
         keep: the share of points that stays is drawn evenly from this range, in [0, 1].
         falloff: is drawn evenly from this range, in [0, 4].
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -110,8 +108,7 @@ class RandomVoxels(Augmentation):
 
     Args:
         voxel_size: meters, the edge of the cubes is drawn evenly from this range, above 0.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range, or more than 2^20 cubes along an axis of a cloud.

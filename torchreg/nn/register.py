@@ -65,8 +65,8 @@ class Register(nn.Module):
     Example:
         >>> import torchreg as tr
         >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
-        >>> found = Register(tr.RegistrationOptions(voxel_size=1.0))(pair.source, pair.target)
-        >>> found.T_target_source.shape, found.T_target_source.requires_grad
+        >>> result = Register(tr.RegistrationOptions(voxel_size=1.0))(pair.source, pair.target)
+        >>> result.T_target_source.shape, result.T_target_source.requires_grad
         (torch.Size([1, 4, 4]), True)
     """
 
