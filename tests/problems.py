@@ -36,12 +36,12 @@ def seeded(seed: int = 0) -> torch.Generator:
 
 def numbers(*shape: int, seed: int = 0) -> Tensor:
     """Normal numbers in float64, other ones for every seed and size."""
-    return torch.randn(*shape, dtype=torch.float64, generator=seeded(seed + sum(shape)))
+    return torch.randn(shape, dtype=torch.float64, generator=seeded(seed + sum(shape)))
 
 
-def uniform(*shape: int) -> Tensor:
-    """Numbers in [0, 1), other ones for every size."""
-    return torch.rand(*shape, generator=seeded(sum(shape)))
+def uniform(*shape: int, seed: int = 0) -> Tensor:
+    """Numbers in [0, 1) in float32, other ones for every seed and size."""
+    return torch.rand(shape, generator=seeded(seed + sum(shape)))
 
 
 def random_points(count: int, seed: int = 0, dtype: torch.dtype = torch.float32) -> Tensor:
