@@ -125,6 +125,15 @@ def room_pair(
     return RoomPair(source, target, (T_target_world @ torch.linalg.inv(T_source_world))[None])
 
 
+def oriented_room(
+    count: int = 600, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> tuple[tr.Clouds, tr.Neighborhoods]:
+    """One scan of a room with normals, and neighborhoods of 1 m in it."""
+    scan = room_pair(count, seed=seed, dtype=dtype).source
+    near = tr.neighbors(scan, 1.0, 40)
+    return tr.estimate_normals(scan, near), near
+
+
 def sphere_cloud(count: int, *, seed: int = 0, dtype: torch.dtype = torch.float64) -> tr.Clouds:
     """A bumpy colored sphere of about 1 m with its true-looking normals: no planes, no ties."""
     generator = torch.Generator().manual_seed(seed)

@@ -7,7 +7,7 @@ from closeness import close
 from determinism import assert_batch_equals_loop, assert_nothing_shows, pieces, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import garbage_in_invalid_slots, random_transform, room_pair, sphere_cloud
+from problems import garbage_in_invalid_slots, oriented_room, random_transform, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
@@ -16,12 +16,6 @@ from torchreg.descriptors.fpfh import simplified_histograms
 
 def bare(values, normals=None, offsets=None):
     return tr.Clouds(points=values, normals=normals, offsets=offsets)
-
-
-def oriented_room(count=600, seed=0, dtype=torch.float32):
-    scan = room_pair(count, seed=seed, dtype=dtype).source
-    near = tr.neighbors(scan, 1.0, 40)
-    return tr.estimate_normals(scan, near), near
 
 
 @pytest.mark.parametrize("mode", ["open3d", "pcl"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -16,7 +17,7 @@ from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
 from torchreg.nn.precision import full_precision
-from torchreg.registration.describe import Description, downsample, oriented, support_of
+from torchreg.registration.describe import description_of, downsample, oriented, support_of
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import options_of_pairs
 from torchreg.registration.spacing import derive_options
@@ -29,7 +30,7 @@ class SoftRegistration(NamedTuple):
     Attributes:
         T_target_source: (B, 4, 4) float64, meters, origins included.
         matches: of the points below.
-        source: the clouds as they were described: thinned if asked for, in Z order, with normals.
+        source: the clouds that were described: downsampled where options have voxels, in Z order, with normals.
         target: likewise.
         source_features: of its points.
         target_features: likewise.
@@ -129,10 +130,8 @@ class Register(nn.Module):
         self, cloud: Clouds, options: Sequence[RegistrationOptions], values: Tensor | None
     ) -> tuple[Clouds, Features]:
         descriptions = [
-            Description(
-                voxel_size=option.voxel_size,
-                normal_radius=option.normal_radius,
-                normal_max_neighbors=option.normal_max_neighbors,
+            replace(
+                description_of(option, colored=True),
                 descriptors=tuple(_record_of(module, option) for module in self.descriptors),
             )
             for option in options
