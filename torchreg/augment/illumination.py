@@ -23,7 +23,7 @@ class Illumination(Augmentation):
     """Changes the colors of every cloud as a whole, as another light or another camera does.
 
     In linear light, each channel is multiplied by a gain of its own (white balance) and all by one (exposure); then
-    come a power of the sRGB values (gamma) and a shift along the color circle (hue). Results are cut off at 0 and 1, so
+    come a power of the sRGB values (gamma) and a shift along the color circle (hue). Results are clipped to [0, 1], so
     no gradient reaches clipped colors; elsewhere gradients flow to colors. A cloud without colors stays as it is.
 
     Args:

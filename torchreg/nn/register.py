@@ -1,4 +1,4 @@
-"""The whole way from two clouds to their pose as one module, every step of which passes gradients on."""
+"""Registration of two clouds as one module, every step of which passes gradients on."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A kind of simulated place, and how any such place is scanned twice.
 
-A plan is drawn from the seed; walls and ground follow from it, then two stations, then what stands around in either
+A plan is drawn from the seed; walls and ground follow from it, then two stations, then the loose pieces in either
 scan. Light and camera differ between the scans. Each of these stages draws from a stream of its own, so that an option
 of one stage changes nothing in another.
 """
@@ -35,7 +35,7 @@ class Environment(Generic[Plan]):
         first_stream: number of its first random stream; no other environment's streams may have the same numbers.
         plan: draws the sizes of a place.
         fixtures: draw what both scans see alike, such as the ground or walls; one stream each.
-        contents: draw what stands around in the source scan and in the target scan, given ``T_world_scanner`` of both
+        contents: draw the loose pieces in the source scan and in the target scan, given ``T_world_scanner`` of both
             stations, beside which nothing may stand; one stream each.
         middle: lowest and highest place (3,) of the point halfway between the stations, meters.
         longest_baseline: meters.

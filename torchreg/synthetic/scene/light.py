@@ -62,10 +62,10 @@ class LineOfSight(Protocol):
     """Visibility between places of a scene."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
-        """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
+        """Whether nothing lies between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
 
-    def escapes(self, points: Array, way: Array) -> Array:
-        """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
+    def escapes(self, points: Array, direction: Array) -> Array:
+        """Whether nothing lies in the direction ``direction`` (3,) of the points (P, 3); (P,) bool."""
 
 
 def indoor_light(
@@ -151,7 +151,7 @@ def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.G
     """
     up = np.broadcast_to((0.0, 0.0, 1.0), probes.shape)
     sunless = replace(light, sun=np.zeros(3))
-    metered = irradiance(probes, up, sunless, _Unhindered()).mean(axis=0) + sunlit * light.sun  # (3,)
+    metered = irradiance(probes, up, sunless, _EmptyScene()).mean(axis=0) + sunlit * light.sun  # (3,)
     exposure, gamma = np.exp(relight * np.array([0.15, 0.06]) * rng.standard_normal(2))
     balance = (metered.mean() / metered) ** 0.7  # cameras leave some of the tint
     return Camera(
@@ -200,20 +200,20 @@ def _from_above(points: Array, normals: Array, position: Array) -> Array:
 
     A panel has a size, so that nothing near it is infinitely bright.
     """
-    way = position - points
-    square = np.einsum("pi,pi->p", way, way)
-    facing, sent = np.clip(np.einsum("pi,pi->p", way, normals), 0, None), np.clip(way[:, 2], 0, None)
+    offset = position - points
+    square = np.einsum("pi,pi->p", offset, offset)
+    facing, sent = np.clip(np.einsum("pi,pi->p", offset, normals), 0, None), np.clip(offset[:, 2], 0, None)
     return np.asarray(facing * sent / (square * (square + 0.3)))
 
 
 def _open_sky(points: Array, normals: Array, visibility: LineOfSight) -> Array:
     """The part of an even sky's light that reaches surfaces, (P,); 1 on level ground in the open."""
     total = np.zeros(len(points))
-    for way in _SKY_WAYS:
-        facing = normals @ way
+    for direction in _SKY_DIRECTIONS:
+        facing = normals @ direction
         rows = np.flatnonzero(facing > 0)
-        total[rows] += facing[rows] * visibility.escapes(points[rows], way)
-    return np.asarray(total / _SKY_WAYS[:, 2].sum())
+        total[rows] += facing[rows] * visibility.escapes(points[rows], direction)
+    return np.asarray(total / _SKY_DIRECTIONS[:, 2].sum())
 
 
 def _spread_over_sky(count: int) -> Array:
@@ -224,14 +224,14 @@ def _spread_over_sky(count: int) -> Array:
     return np.stack((flat * np.cos(around), flat * np.sin(around), height), axis=1)
 
 
-class _Unhindered:
-    """LineOfSight where nothing stands in the way."""
+class _EmptyScene:
+    """LineOfSight of an empty scene."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
         return np.ones(len(points), dtype=bool)
 
-    def escapes(self, points: Array, way: Array) -> Array:
+    def escapes(self, points: Array, direction: Array) -> Array:
         return np.ones(len(points), dtype=bool)
 
 
-_SKY_WAYS = _spread_over_sky(14)
+_SKY_DIRECTIONS = _spread_over_sky(14)

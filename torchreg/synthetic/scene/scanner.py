@@ -70,19 +70,19 @@ def scan(
     """
     rng = np.random.default_rng(seed)
     caster = Raycaster(quads)
-    directions = ray_directions(scanner)  # (E, A, 3)
-    grid = directions.shape[:2]
-    rays = directions.reshape(-1, 3)
-    ways = rays @ T_world_scanner[:3, :3].T
+    rays = ray_directions(scanner)  # (E, A, 3)
+    grid = rays.shape[:2]
+    rays = rays.reshape(-1, 3)
+    directions = rays @ T_world_scanner[:3, :3].T
     station = T_world_scanner[:3, 3]
-    reach, quad, uv, normals = caster.cast(station, ways)
+    reach, quad, uv, normals = caster.cast(station, directions)
     hit = np.isfinite(reach)
     reach = np.where(hit, reach, 0.0)
 
-    cosine = -(normals * ways).sum(axis=1)
+    cosine = -(normals * directions).sum(axis=1)
     normals = np.where(cosine[:, None] < 0, -normals, normals)
     cosine = np.abs(cosine)
-    places = station + reach[:, None] * ways + 2e-3 * normals
+    places = station + reach[:, None] * directions + 2e-3 * normals
     paint = quads.paint.take(quad)
     surface = linear(albedo(paint, uv))
     radiance = surface * (irradiance(places, normals, light, caster) + paint.glow[:, None])
@@ -143,9 +143,9 @@ class Raycaster:
         triangles = np.ascontiguousarray(triangles, dtype=np.uint32)
         self._scene.add_triangles(self._core.Tensor(corners), self._core.Tensor(triangles))
 
-    def cast(self, origin: Array, ways: Array) -> tuple[Array, Array, Array, Array]:
+    def cast(self, origin: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
         """Ranges (P,), inf for a miss; quad hit (P,); texture coordinates (P, 2); unit normals (P, 3)."""
-        hits = self._scene.cast_rays(self._rays(origin, ways))
+        hits = self._scene.cast_rays(self._rays(origin, directions))
         reach = hits["t_hit"].numpy().astype(np.float64)
         triangle = np.where(np.isfinite(reach), hits["primitive_ids"].numpy(), 0).astype(np.int64)
         quad = triangle // 2
@@ -157,17 +157,17 @@ class Raycaster:
         return reach, quad, uv, hits["primitive_normals"].numpy().astype(np.float64)
 
     def reaches(self, points: Array, goals: Array) -> Array:
-        """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
+        """Whether nothing lies between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
         occluded = self._scene.test_occlusions(self._rays(points, goals - points), tnear=0.0, tfar=0.98)
         return ~np.asarray(occluded.numpy())
 
-    def escapes(self, points: Array, way: Array) -> Array:
-        """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
-        return ~np.asarray(self._scene.test_occlusions(self._rays(points, way)).numpy())
+    def escapes(self, points: Array, direction: Array) -> Array:
+        """Whether nothing lies in the direction ``direction`` (3,) of the points (P, 3); (P,) bool."""
+        return ~np.asarray(self._scene.test_occlusions(self._rays(points, direction)).numpy())
 
-    def _rays(self, origins: Array, ways: Array) -> Any:  # noqa: ANN401  # an Open3D tensor
-        shape = np.broadcast_shapes(origins.shape, ways.shape)
-        rays = np.concatenate((np.broadcast_to(origins, shape), np.broadcast_to(ways, shape)), axis=1)
+    def _rays(self, origins: Array, directions: Array) -> Any:  # noqa: ANN401  # an Open3D tensor
+        shape = np.broadcast_shapes(origins.shape, directions.shape)
+        rays = np.concatenate((np.broadcast_to(origins, shape), np.broadcast_to(directions, shape)), axis=1)
         return self._core.Tensor(np.ascontiguousarray(rays, dtype=np.float32))
 
 
