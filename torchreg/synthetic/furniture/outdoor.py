@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from torchreg.synthetic.scene.paint import neutral, paint, vivid
-from torchreg.synthetic.scene.quads import Quads, at_height, boxes, cylinders, prism, up
+from torchreg.synthetic.scene.quads import Quads, at_height, boxes, cylinders, polygon, prism, up
 
 
 def lamp_post(rng: np.random.Generator, tall: float) -> Quads:
@@ -25,8 +25,7 @@ def traffic_sign(rng: np.random.Generator) -> Quads:
     """A triangle, a disk or a square on a post."""
     sides, edge = int(rng.choice([3, 4, 24])), rng.uniform(0.3, 0.38)
     turn = {3: 0.5, 4: 0.25, 24: 0.0}[sides] * np.pi
-    angle = turn + 2 * np.pi * np.arange(sides) / sides
-    shape = edge * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    shape = polygon(edge, sides, turn)
     plate, rim = paint(rng, (0.9, 0.9, 0.88)), paint(rng, vivid(rng))
     return Quads.join(
         [
@@ -87,8 +86,7 @@ def shelter(rng: np.random.Generator) -> Quads:
 
 def bicycle_rack(rng: np.random.Generator) -> Quads:
     """Steel hoops in a row, a bicycle's frame and wheels leaning on most of them."""
-    parts, angle = [], 2 * np.pi * np.arange(20) / 20
-    wheel = 0.34 * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    parts, wheel = [], polygon(0.34, 20)
     for x in 0.75 * (np.arange(5) - 2):
         hoop = [(x, -0.35, 0.4), (x, 0.35, 0.4), (x, 0, 0.8)]
         steel = paint(rng, (0.6, 0.6, 0.62), count=3)
