@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.types import Clouds
 
 THREADS = (1, 2, 3, 8)  # 8: matrix products are cut in another way there
 
@@ -87,5 +88,18 @@ def assert_nothing_shows(run: Callable[[], Any], *, ignore: tuple[str, ...] = ()
     for number in THREADS:
         for elements, tile_elements in ((1 << 30, 1 << 24), (3001, 1 << 15)):
             with threads(number), pieces(elements, tile_elements):
-                told = f"{number} threads, chunks of {elements}, tiles of {tile_elements}"
-                assert same_bits(run(), expected, ignore=ignore), told
+                case = f"{number} threads, chunks of {elements}, tiles of {tile_elements}"
+                assert same_bits(run(), expected, ignore=ignore), case
+
+
+def assert_batch_equals_loop(run: Callable[[Clouds], tuple[Tensor, ...]], clouds: list[Clouds]) -> None:
+    """Run on a packed batch, in both orders, and on each of its clouds: the same rows, bit for bit.
+
+    Empty clouds and one of a single point join the clouds given.
+    """
+    rows = [torch.zeros(0, dtype=torch.int64), torch.tensor([7])]
+    empty, single = (clouds[0].rows(row, torch.tensor([0, len(row)])) for row in rows)
+    batch = [empty, clouds[0], empty, *clouds[1:], single]
+    for ordered in (batch, batch[::-1]):
+        alone = [run(cloud) for cloud in ordered]
+        assert same_bits(run(Clouds.pack(ordered)), tuple(map(torch.cat, zip(*alone, strict=True))))

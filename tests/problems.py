@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 import torchreg as tr
 from torchreg.geometry.se3 import rigid
+from torchreg.synthetic.match_problems import MatchProblem, match_problem, random_rotation
 from torchreg.types.packing import offsets_of
-
-
-class Problem(NamedTuple):
-    """One pair, its matches and what is true of them.
-
-    Attributes:
-        source: B = 1.
-        target: B = 1.
-        matches: of the pair.
-        T_target_source: (1, 4, 4) float64, true, origins included.
-        is_inlier: (M,) bool.
-    """
-
-    source: tr.Clouds
-    target: tr.Clouds
-    matches: tr.Correspondences
-    T_target_source: Tensor
-    is_inlier: Tensor
 
 
 class RoomPair(NamedTuple):
@@ -46,15 +30,34 @@ class RoomPair(NamedTuple):
     T_target_source: Tensor
 
 
-def random_rotation(generator: torch.Generator) -> Tensor:
-    """A rotation (3, 3) float64, uniform over SO(3), from a random unit quaternion."""
-    w, x, y, z = torch.nn.functional.normalize(_normal(generator, 4), dim=0).tolist()
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.tensor(rows, dtype=torch.float64)
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def numbers(*shape: int, seed: int = 0) -> Tensor:
+    """Normal numbers in float64, other ones for every seed and size."""
+    return torch.randn(shape, dtype=torch.float64, generator=seeded(seed + sum(shape)))
+
+
+def uniform(*shape: int, seed: int = 0) -> Tensor:
+    """Numbers in [0, 1) in float32, other ones for every seed and size."""
+    return torch.rand(shape, generator=seeded(seed + sum(shape)))
+
+
+def random_points(count: int, seed: int = 0, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Points (P, 3) in a cube of 1 m."""
+    return torch.rand(count, 3, generator=seeded(seed), dtype=dtype)
+
+
+def turned(
+    degrees: float, axis: Sequence[float] = (0.0, 0.0, 1.0), translation: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Tensor:
+    """A turn about an axis by Rodrigues' formula, then a shift in meters: (4, 4) float64."""
+    x, y, z = torch.nn.functional.normalize(torch.tensor(axis, dtype=torch.float64), dim=0).tolist()
+    K = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    angle = math.radians(degrees)
+    R = torch.eye(3, dtype=torch.float64) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
+    return rigid(R, torch.tensor(translation, dtype=torch.float64))
 
 
 def random_transform(generator: torch.Generator, reach: float = 5.0) -> Tensor:
@@ -63,34 +66,24 @@ def random_transform(generator: torch.Generator, reach: float = 5.0) -> Tensor:
 
 
 def correspondence_problem(
-    count: int = 500,
-    outlier_ratio: float = 0.8,
-    *,
-    noise: float = 0.01,
-    size: float = 10.0,
-    seed: int = 0,
-    dtype: torch.dtype = torch.float64,
-) -> Problem:
-    """Points in a cube of ``size`` meters; outliers are matched to points drawn anywhere in the target's cube."""
-    generator = torch.Generator().manual_seed(seed)
-    p = size * torch.rand(count, 3, dtype=torch.float64, generator=generator)
-    T = random_transform(generator)
-    q = p @ T[:3, :3].t() + T[:3, 3] + noise * _normal(generator, count, 3)
-    outliers = torch.randperm(count, generator=generator)[: round(outlier_ratio * count)]
-    anywhere = size * torch.rand(len(outliers), 3, dtype=torch.float64, generator=generator)
-    q[outliers] = anywhere @ T[:3, :3].t() + T[:3, 3]
-    shuffled = torch.randperm(count, generator=generator)  # target rows are not in the order of the source's
-    target = torch.empty_like(q)
-    target[shuffled] = q
-    is_inlier = torch.ones(count, dtype=torch.bool)
-    is_inlier[outliers] = False
-    return Problem(
-        tr.Clouds(points=p.to(dtype)),
-        tr.Clouds(points=target.to(dtype)),
-        matched(torch.arange(count), shuffled),
-        T[None],
-        is_inlier,
-    )
+    count: int = 500, outlier_ratio: float = 0.8, *, noise: float = 0.01, **options: Any
+) -> MatchProblem:
+    """A ``match_problem`` of middling size, as most tests need it."""
+    return match_problem(count, outlier_ratio, noise=noise, **options)
+
+
+def columns(problem: MatchProblem, dtype: torch.dtype | None = None) -> tuple[Tensor, Tensor]:
+    """Source and target points (3, M) of the matches."""
+    source = problem.source.points[problem.matches.source].t().contiguous()
+    target = problem.target.points[problem.matches.target].t().contiguous()
+    return source.to(dtype), target.to(dtype)
+
+
+def features(values: Tensor, lengths: list[int] | None = None, valid: Tensor | None = None) -> tr.Features:
+    """Features of one block, all valid by default."""
+    valid = torch.ones(len(values), dtype=torch.bool) if valid is None else valid
+    offsets = offsets_of([len(values)] if lengths is None else lengths)
+    return tr.Features(values, offsets, (("any", values.shape[1]),), valid)
 
 
 def matched(source: Tensor, target: Tensor) -> tr.Correspondences:
@@ -98,7 +91,7 @@ def matched(source: Tensor, target: Tensor) -> tr.Correspondences:
     return tr.Correspondences(source, target, torch.tensor([0, len(source)]), torch.zeros(len(source)))
 
 
-def pack_problems(problems: list[Problem]) -> tuple[tr.Clouds, tr.Clouds, tr.Correspondences]:
+def pack_problems(problems: list[MatchProblem]) -> tuple[tr.Clouds, tr.Clouds, tr.Correspondences]:
     """The batch of several problems, rows of their matches shifted to the packed clouds."""
     source = tr.Clouds.pack([problem.source for problem in problems])
     target = tr.Clouds.pack([problem.target for problem in problems])
@@ -125,11 +118,20 @@ def room_pair(
     Each scan draws ``count`` points of its own and keeps those on faces that look at the scanner, about 87 %.
     """
     generator = torch.Generator().manual_seed(seed)
-    T_source_world, T_target_world = _scanner(generator), _scanner(generator)
+    T_source_world, T_target_world = (random_transform(generator, reach=2.0) for _ in range(2))
     places = torch.tensor([[2.2, 1.7, 1.6], [3.6, 2.9, 1.5]], dtype=torch.float64)
     source = _scan(count, places[0], T_source_world, noise, scale, generator, dtype)
     target = _scan(count, places[1], T_target_world, noise, scale, generator, dtype)
     return RoomPair(source, target, (T_target_world @ torch.linalg.inv(T_source_world))[None])
+
+
+def oriented_room(
+    count: int = 600, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> tuple[tr.Clouds, tr.Neighborhoods]:
+    """One scan of a room with normals, and neighborhoods of 1 m in it."""
+    scan = room_pair(count, seed=seed, dtype=dtype).source
+    near = tr.neighbors(scan, 1.0, 40)
+    return tr.estimate_normals(scan, near), near
 
 
 def sphere_cloud(count: int, *, seed: int = 0, dtype: torch.dtype = torch.float64) -> tr.Clouds:
@@ -164,10 +166,6 @@ def garbage_in_invalid_slots(near: tr.Neighborhoods, seed: int = 0) -> tr.Neighb
 
 def _normal(generator: torch.Generator, *shape: int) -> Tensor:
     return torch.randn(*shape, dtype=torch.float64, generator=generator)
-
-
-def _scanner(generator: torch.Generator) -> Tensor:
-    return random_transform(generator, reach=2.0)
 
 
 def _scan(
@@ -214,8 +212,7 @@ def _faces() -> tuple[Tensor, Tensor, Tensor, Tensor]:
     faces += _box((1.0, 3.3, 0), (1.2, 1.0, 0.5), inward=False, hue=0.3)
     faces += _box((4.9, 3.6, 0), (0.8, 0.7, 1.3), inward=False, hue=0.9)
     corner, first, second, hue = zip(*faces, strict=True)
-    columns = (torch.tensor(part, dtype=torch.float64) for part in (corner, first, second, hue))
-    return tuple(columns)
+    return tuple(torch.tensor(part, dtype=torch.float64) for part in (corner, first, second, hue))
 
 
 def _box(

@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from problems import matched
+from problems import matched, turned
 from torch import Tensor
 
 import torchreg as tr
-from torchreg.geometry.se3 import rigid
 from torchreg.types import Candidate, Failure, Proposal, StageCounts
 
 OPTIONS = tr.RegistrationOptions(
@@ -32,18 +31,11 @@ FOUR_POINTS = tr.Clouds(torch.eye(4)[:, :3], colors=torch.eye(4)[:, :3], viewpoi
 STAGES = StageCounts((30433, 28001), (9812, 9950), (9700, 9950), PROPOSALS)
 
 
-def turn(degrees: float, translation: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Tensor:
-    """A turn (4, 4) about z, then a shift in meters."""
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    R = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
-    return rigid(R, torch.tensor(translation, dtype=torch.float64))
-
-
 def candidate(**changes: Any) -> Candidate:
     """One pose that was weighed, good unless changed."""
     good = Candidate(
         origin=PROPOSALS[0].origin,
-        T_target_source=turn(10),
+        T_target_source=turned(10),
         support=310,
         matches=2104,
         surprise=41.7,
@@ -63,7 +55,7 @@ def bare_result(**changes: Any) -> tr.RegistrationResult:
     """One pair as a solver alone leaves it: 4 matches, 3 of them inliers."""
     one = torch.tensor([1], dtype=torch.int64)
     fields: dict[str, Any] = {
-        "T_target_source": turn(10)[None],
+        "T_target_source": turned(10)[None],
         "inliers": torch.tensor([True, True, True, False]),
         "fitness": number(0.61),
         "inlier_rmse": number(0.0123),
@@ -89,7 +81,7 @@ def verified_result(**changes: Any) -> tr.RegistrationResult:
         "overlap": number(0.52),
         "information": information,
         "strength": number(0.31),
-        "runner_up": turn(100, (3.0, 4.0, 0.0))[None],
+        "runner_up": turned(100, translation=(3.0, 4.0, 0.0))[None],
         "margin": number(5.2),
         "candidates": ((candidate(), probe),),
         "stages": (STAGES,),

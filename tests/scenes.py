@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from problems import turned
 from torch import Tensor
 
 import torchreg as tr
-from torchreg.geometry.se3 import rigid
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Center and size, meters."""
@@ -45,16 +45,8 @@ def moved_pair(
     g = torch.Generator().manual_seed(seed)
     target = scan(boxes(shapes if other is None else other, g), (0.4, -0.3, 1.2), g)
     still = scan(boxes(shapes, g), (-0.5, 0.4, 1.4), g)
-    T = turned(70.0, (1.0, -2.0, 0.5))
+    T = turned(70.0, translation=(1.0, -2.0, 0.5))
     return tr.transform(still, torch.linalg.inv(T)), target, T
-
-
-def turned(degrees: float, shift: Sequence[float]) -> Tensor:
-    """A turn about z and a shift, (4, 4) float64."""
-    angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
-    c, s = float(angle.cos()), float(angle.sin())
-    R = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
-    return rigid(R, torch.tensor(shift, dtype=torch.float64))
 
 
 FURNISHED: tuple[Box, ...] = (

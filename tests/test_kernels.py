@@ -6,7 +6,7 @@ The watch sees operations; reading a tensor as a list is none, but fails on the 
 import pytest
 import torch
 from host_transfers import HostTransfers
-from problems import room_pair
+from problems import room_pair, uniform
 
 import torchreg as tr
 from torchreg.descriptors.histograms import count_votes, inverse_square_weights, weighted_sum
@@ -21,16 +21,12 @@ from torchreg.solvers.scoring import correspondence_vectors, hypothesis_vectors,
 ROWS, SLOTS, HYPOTHESES, MATCHES, SAMPLE = 5, 4, 6, 9, 3
 
 
-def numbers(*shape):
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(sum(shape)))
-
-
 def indices(size, *shape):
     return torch.randint(size, shape, generator=torch.Generator().manual_seed(sum(shape)))
 
 
 def oriented(*shape):
-    return [numbers(*shape) for _ in range(6)]
+    return [uniform(*shape) for _ in range(6)]
 
 
 KERNELS = {
@@ -42,45 +38,45 @@ KERNELS = {
         lambda *columns: compact_pair_features(Oriented(*columns[:6]), Oriented(*columns[6:])),
         [*oriented(ROWS, 1), *oriented(ROWS, SLOTS)],
     ),
-    "angle_bins": (angle_bins, [numbers(ROWS, SLOTS), numbers(ROWS, SLOTS)]),
-    "unit_bins": (unit_bins, [numbers(ROWS, SLOTS)]),
+    "angle_bins": (angle_bins, [uniform(ROWS, SLOTS), uniform(ROWS, SLOTS)]),
+    "unit_bins": (unit_bins, [uniform(ROWS, SLOTS)]),
     "difference_bins": (
         lambda a, b: (difference_bins(a, b, 11, circular=True), difference_bins(a, b, 11, circular=False)),
-        [numbers(ROWS, 1), numbers(ROWS, SLOTS)],
+        [uniform(ROWS, 1), uniform(ROWS, SLOTS)],
     ),
     "count_votes": (
         lambda bins, votes: count_votes(bins, votes, 11),
         [indices(11, ROWS, SLOTS), indices(2, ROWS, SLOTS).int()],
     ),
-    "inverse_square_weights": (inverse_square_weights, [numbers(ROWS, SLOTS), indices(2, ROWS, SLOTS).bool()]),
-    "weighted_sum": (weighted_sum, [numbers(ROWS, 11), indices(ROWS, ROWS, SLOTS), numbers(ROWS, SLOTS)]),
+    "inverse_square_weights": (inverse_square_weights, [uniform(ROWS, SLOTS), indices(2, ROWS, SLOTS).bool()]),
+    "weighted_sum": (weighted_sum, [uniform(ROWS, 11), indices(ROWS, ROWS, SLOTS), uniform(ROWS, SLOTS)]),
     "weighted_sum in float64": (
         weighted_sum,
-        [numbers(ROWS, 11).double(), indices(ROWS, ROWS, SLOTS), numbers(ROWS, SLOTS).double()],
+        [uniform(ROWS, 11).double(), indices(ROWS, ROWS, SLOTS), uniform(ROWS, SLOTS).double()],
     ),
-    "symmetric_eigen": (symmetric_eigen, [numbers(ROWS, 3, 3)]),
-    "stable_sum": (stable_sum, [numbers(3000, 2)]),
-    "edge_marks": (lambda p, q: edge_marks(p, q, 0.9, 0.1), [numbers(3, HYPOTHESES), numbers(3, HYPOTHESES)]),
-    "spans_plane": (spans_plane, [numbers(3, SAMPLE, HYPOTHESES)]),
-    "solve_samples": (solve_samples, [numbers(3, SAMPLE, HYPOTHESES), numbers(3, SAMPLE, HYPOTHESES)]),
+    "symmetric_eigen": (symmetric_eigen, [uniform(ROWS, 3, 3)]),
+    "stable_sum": (stable_sum, [uniform(3000, 2)]),
+    "edge_marks": (lambda p, q: edge_marks(p, q, 0.9, 0.1), [uniform(3, HYPOTHESES), uniform(3, HYPOTHESES)]),
+    "spans_plane": (spans_plane, [uniform(3, SAMPLE, HYPOTHESES)]),
+    "solve_samples": (solve_samples, [uniform(3, SAMPLE, HYPOTHESES), uniform(3, SAMPLE, HYPOTHESES)]),
     "sample_fits": (
         lambda p, q, R, t: sample_fits(p, q, R, t, 0.2),
         [
-            numbers(3, SAMPLE, HYPOTHESES),
-            numbers(3, SAMPLE, HYPOTHESES),
-            numbers(3, 3, HYPOTHESES),
-            numbers(3, HYPOTHESES),
+            uniform(3, SAMPLE, HYPOTHESES),
+            uniform(3, SAMPLE, HYPOTHESES),
+            uniform(3, 3, HYPOTHESES),
+            uniform(3, HYPOTHESES),
         ],
     ),
-    "correspondence_vectors": (correspondence_vectors, [numbers(3, MATCHES), numbers(3, MATCHES)]),
-    "hypothesis_vectors": (hypothesis_vectors, [numbers(3, 3, HYPOTHESES), numbers(3, HYPOTHESES)]),
+    "correspondence_vectors": (correspondence_vectors, [uniform(3, MATCHES), uniform(3, MATCHES)]),
+    "hypothesis_vectors": (hypothesis_vectors, [uniform(3, 3, HYPOTHESES), uniform(3, HYPOTHESES)]),
     "propose_counts": (
         lambda R, t, vectors: propose_counts(R, t, vectors, 0.2),
-        [numbers(3, 3, HYPOTHESES), numbers(3, HYPOTHESES), numbers(16, MATCHES)],
+        [uniform(3, 3, HYPOTHESES), uniform(3, HYPOTHESES), uniform(16, MATCHES)],
     ),
     "residuals": (
         residuals,
-        [numbers(3, 3, HYPOTHESES), numbers(3, HYPOTHESES), numbers(3, MATCHES), numbers(3, MATCHES)],
+        [uniform(3, 3, HYPOTHESES), uniform(3, HYPOTHESES), uniform(3, MATCHES), uniform(3, MATCHES)],
     ),
 }
 
@@ -130,7 +126,7 @@ def test_a_kernel_leaves_its_inputs_alone(name):
 )
 def test_the_watch_sees_what_waits(wait):
     with HostTransfers() as watch:
-        wait(numbers(5))
+        wait(uniform(5))
     assert watch.transfers
 
 

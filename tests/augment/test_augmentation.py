@@ -6,15 +6,12 @@ import pickle
 import pytest
 import torch
 from determinism import same_bits
+from problems import seeded
 from refusals import refuses
 
 import torchreg as tr
 from torchreg import augment
 from torchreg.geometry.se3 import transform
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def test_same_seed_same_bits_and_every_call_is_another(make, batch):

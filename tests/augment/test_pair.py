@@ -4,6 +4,7 @@ import pytest
 import torch
 from determinism import same_bits
 from folders import motion, scene_folder, table_folder
+from problems import seeded
 from refusals import refuses
 from torch.utils.data import DataLoader, Subset
 
@@ -11,10 +12,6 @@ import torchreg as tr
 from torchreg import augment
 from torchreg.datasets import Fragments, ScanPair, ScanPairs, pack_pairs
 from torchreg.geometry.se3 import transform
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def everything() -> augment.Compose:

@@ -31,13 +31,3 @@ def in_target(pair: ScanPair) -> Array:
 def thinned(points: Array, voxel_size: float = 0.2) -> Array:
     """Rows of one point per voxel."""
     return np.unique(np.floor(points / voxel_size), axis=0, return_index=True)[1]
-
-
-def same_bits(a: ScanPair, b: ScanPair) -> bool:
-    return (
-        torch.equal(a.source.points, b.source.points)
-        and torch.equal(a.target.points, b.target.points)
-        and torch.equal(colors_of(a.source), colors_of(b.source))
-        and torch.equal(colors_of(a.target), colors_of(b.target))
-        and torch.equal(a.T_target_source, b.T_target_source)
-    )

@@ -4,8 +4,8 @@ import oracles
 import pytest
 import torch
 from closeness import close
-from determinism import assert_nothing_shows, pieces, same_bits
-from problems import garbage_in_invalid_slots, random_transform, room_pair, sphere_cloud
+from determinism import same_bits
+from problems import random_transform, room_pair, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
@@ -47,15 +47,11 @@ def test_a_dimmed_light_hardly_shows():
     assert (tr.contrast(bright, near, 0.6).values - tr.contrast(darkened, near, 0.6).values).abs().max() > 0.1
 
 
-def test_a_rigid_motion_and_another_order_change_nothing():
+def test_a_rigid_motion_changes_nothing():
     cloud = sphere_cloud(200)
     expected = tr.contrast(cloud, tr.neighbors(cloud, 0.6, 60), 0.6).values
     moved = tr.transform(cloud, random_transform(torch.Generator().manual_seed(1)))
     assert close(tr.contrast(moved, tr.neighbors(moved, 0.6, 60), 0.6).values, expected, atol=1e-9)
-    order = torch.randperm(200, generator=torch.Generator().manual_seed(2))
-    shuffled = cloud.rows(order, cloud.offsets)
-    found = tr.contrast(shuffled, tr.neighbors(shuffled, 0.6, 60), 0.6).values
-    assert close(found, expected[order], atol=1e-9)
 
 
 def test_a_point_alone_is_not_valid():
@@ -80,42 +76,6 @@ def test_a_radius_per_point_is_the_radius_of_that_point():
     mixed = tr.contrast(scan, near, radius).values
     assert same_bits(mixed[::2], tr.contrast(scan, near, 0.6).values[::2])
     assert same_bits(mixed[1::2], tr.contrast(scan, near, 1.0).values[1::2])
-
-
-def test_garbage_in_invalid_slots_changes_nothing():
-    scan = room_pair(500).source
-    near = tr.neighbors(scan, 0.7, 50)
-    assert not near.valid.all()
-    assert same_bits(tr.contrast(scan, near, 0.7), tr.contrast(scan, garbage_in_invalid_slots(near), 0.7))
-
-
-def test_a_batch_equals_the_loop_over_its_clouds():
-    made = [room_pair(count, seed=count).source for count in (300, 500, 40)]
-    made.insert(1, made[0].rows(torch.zeros(0, dtype=torch.int64), torch.tensor([0, 0])))
-    made.append(made[0].rows(torch.tensor([7]), torch.tensor([0, 1])))
-
-    def described(clouds):
-        features = tr.contrast(clouds, tr.neighbors(clouds, 0.9, 40), 0.9)
-        return features.values, features.valid
-
-    for batch in (made, made[::-1]):
-        together = described(tr.Clouds.pack(batch))
-        alone = [described(one) for one in batch]
-        assert same_bits(together, tuple(map(torch.cat, zip(*alone, strict=True))))
-
-
-def test_neither_threads_nor_pieces_change_a_bit():
-    scan = room_pair(2500).source
-    near = tr.neighbors(scan, 0.8, 50)
-    assert_nothing_shows(lambda: tr.contrast(scan, near, 0.8))
-
-
-def test_one_row_at_a_time_gives_the_same_bits():
-    scan = room_pair(150).source
-    near = tr.neighbors(scan, 1.5, 40)
-    expected = tr.contrast(scan, near, 1.5)
-    with pieces(1):
-        assert same_bits(tr.contrast(scan, near, 1.5), expected)
 
 
 def test_what_does_not_fit_is_refused():

@@ -60,6 +60,14 @@ def test_weights_survive_the_disk(tmp_path):
     assert again.channels == ("hue", "value")
 
 
+def test_weights_with_the_old_names_of_layers_are_read(tmp_path):
+    path = save_weights(load_weights(), tmp_path / "weights.json")
+    old = path.read_text().replace("cue_layer.", "say_in.").replace("weight_layer.", "say_out.")
+    assert all(f'"{layer}.{part}"' in old for layer in ("say_in", "say_out") for part in ("weight", "bias"))
+    path.write_text(old)
+    assert same_bits(tuple(load_weights(path).state_dict().values()), tuple(load_weights().state_dict().values()))
+
+
 @pytest.mark.parametrize("effort", ["plain", "fast"])
 def test_the_preset_registers_a_pair(effort):
     room = room_pair(1500)

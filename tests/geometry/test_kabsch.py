@@ -3,7 +3,7 @@
 import oracles
 import pytest
 import torch
-from closeness import close
+from closeness import assert_rigid, close
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import random_transform
@@ -18,14 +18,6 @@ def pair(rows, seed=0, noise=0.0):
     T = random_transform(generator)
     target = source @ T[:3, :3].t() + T[:3, 3]
     return source, target + noise * torch.randn(rows, 3, dtype=torch.float64, generator=generator), T
-
-
-def assert_rigid(T):
-    R = T[..., :3, :3]
-    identity = torch.eye(3, dtype=T.dtype).expand_as(R)
-    assert close(R.transpose(-1, -2) @ R, identity, atol=1e-9)
-    assert close(torch.linalg.det(R), torch.ones((), dtype=T.dtype), atol=1e-9)
-    assert torch.equal(T[..., 3, :], torch.tensor([0.0, 0, 0, 1], dtype=T.dtype).expand_as(T[..., 3, :]))
 
 
 @given(st.integers(0, 2**31), st.integers(3, 50))

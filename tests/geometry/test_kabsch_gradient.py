@@ -5,7 +5,7 @@ import torch
 from closeness import close
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import random_transform
+from problems import numbers, random_transform
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
@@ -15,10 +15,6 @@ OCTAHEDRON = torch.cat([torch.eye(3), -torch.eye(3)]).double()
 LINE = torch.arange(5, dtype=torch.float64)[:, None] * torch.tensor([[1.0, 2, -1]])
 MIRROR = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
 FLAT = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
 def moved(points, seed=0):

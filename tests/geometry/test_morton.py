@@ -4,13 +4,10 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import random_points
 
 from torchreg.geometry.morton import morton_order
 from torchreg.types.packing import offsets_of, spans
-
-
-def random_points(count, seed=0, dtype=torch.float32):
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=5), st.integers(0, 2**31))

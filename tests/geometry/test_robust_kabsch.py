@@ -5,15 +5,11 @@ import torch
 from closeness import close
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import correspondence_problem
+from problems import correspondence_problem, numbers
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
 from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed + sum(shape)))
 
 
 def few_right(count=60, outlier_ratio=0.5, seed=0):

@@ -5,17 +5,13 @@ import torch
 from closeness import close
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import random_transform
+from problems import numbers, random_transform
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
 from torchreg.geometry.soft_kabsch import soft_kabsch
 from torchreg.matching.soft import expected_targets
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed + sum(shape)))
 
 
 @given(st.integers(0, 2**31), st.integers(2, 9), st.integers(2, 9))

@@ -13,7 +13,8 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, turn, verified_result
+from problems import turned
+from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, verified_result
 
 from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io import read_transform_text, result_to_dict, write_result_json
@@ -156,10 +157,10 @@ def test_what_weighing_the_pose_gave(tmp_path):
     found = json.loads((tmp_path / "r.json").read_text(), parse_constant=pytest.fail)
     assert list(found) == KEYS
     assert (found["probability"], found["overlap"], found["strength"]) == (0.998, 0.52, 0.31)
-    assert (found["margin"], found["runner_up"]) == (5.2, turn(100, (3.0, 4.0, 0.0)).tolist())
+    assert (found["margin"], found["runner_up"]) == (5.2, turned(100, translation=(3.0, 4.0, 0.0)).tolist())
     assert found["information"] == result.information[0].tolist()
     best, probe = found["candidates"]
-    assert best == {**candidate()._asdict(), "T_target_source": turn(10).tolist()}
+    assert best == {**candidate()._asdict(), "T_target_source": turned(10).tolist()}
     assert (probe["origin"], probe["colors"]) == ("slide", None)
     assert found["stages"] == {
         "given": {"source": 30433, "target": 28001},

@@ -7,17 +7,13 @@ import torch
 from closeness import close
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import random_transform
+from problems import numbers, random_transform
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
 from torchreg.learning import circle_loss, info_nce, inlier_probability_loss, true_distances
 
 RADII = {"positive_radius": 0.3, "negative_radius": 0.8}
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
 def features(rows, seed=0):

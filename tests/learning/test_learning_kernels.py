@@ -3,6 +3,7 @@
 import pytest
 import torch
 from host_transfers import HostTransfers
+from problems import uniform
 
 import torchreg as tr
 from torchreg.geometry.eigen import least_eigenvector
@@ -22,10 +23,6 @@ from torchreg.learning import (
 SAMPLES = torch.tensor([[0, 1, 2], [3, 4, 5], [1, 3, 5], [2, 4, 0]])
 
 
-def numbers(*shape):
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(sum(shape)))
-
-
 def run_through(source, target, rows, generator=None):
     """Hypotheses, their expected loss, and that of one of them drawn."""
     chosen = select_softly(source, target, rows, inlier_threshold=0.2)
@@ -39,27 +36,27 @@ def drawn(logits):
 
 
 KERNELS = {
-    "kabsch": (tr.kabsch, [numbers(2, 6, 3), numbers(2, 6, 3), numbers(2, 6)]),
+    "kabsch": (tr.kabsch, [uniform(2, 6, 3), uniform(2, 6, 3), uniform(2, 6)]),
     "with_gradient": (
         lambda H, R, s: with_gradient(R.detach(), H, R.detach(), s.detach()),
-        [numbers(5, 3, 3), numbers(5, 3, 3), numbers(5, 3)],
+        [uniform(5, 3, 3), uniform(5, 3, 3), uniform(5, 3)],
     ),
     "least_eigenvector": (
         lambda C, s, V: least_eigenvector(C, s.detach(), V.detach()),
-        [numbers(5, 3, 3), numbers(5, 3), numbers(5, 3, 3)],
+        [uniform(5, 3, 3), uniform(5, 3), uniform(5, 3, 3)],
     ),
-    "pose_loss": (lambda a, b: pose_loss(a, b).total, [numbers(5, 4, 4), numbers(5, 4, 4)]),
+    "pose_loss": (lambda a, b: pose_loss(a, b).total, [uniform(5, 4, 4), uniform(5, 4, 4)]),
     "info_nce": (
         lambda a, b, partner: info_nce(a, b, partner, ignored=(a @ b.t()) > 0.5),
-        [numbers(3, 8), numbers(6, 8), torch.tensor([-1, 2, 5])],
+        [uniform(3, 8), uniform(6, 8), torch.tensor([-1, 2, 5])],
     ),
     "circle_loss": (
         lambda a, b, d: circle_loss(a, b, d.detach(), positive_radius=0.3, negative_radius=0.6),
-        [numbers(5, 8), numbers(6, 8), numbers(5, 6)],
+        [uniform(5, 8), uniform(6, 8), uniform(5, 6)],
     ),
-    "inlier_probability_loss": (lambda x: inlier_probability_loss(x, x.detach() > 0.5), [numbers(7)]),
-    "select_softly": (run_through, [numbers(6, 3), numbers(3, 6).t(), SAMPLES]),
-    "draw_samples": (drawn, [numbers(9)]),
+    "inlier_probability_loss": (lambda x: inlier_probability_loss(x, x.detach() > 0.5), [uniform(7)]),
+    "select_softly": (run_through, [uniform(6, 3), uniform(3, 6).t(), SAMPLES]),
+    "draw_samples": (drawn, [uniform(9)]),
 }
 
 

@@ -7,16 +7,13 @@ import pytest
 import torch
 from closeness import close
 from determinism import same_bits
+from problems import seeded
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
 from torchreg.learning import draw_samples, sampling, score_function_loss
 
 LOGITS = torch.tensor([0.5, -1.0, 2.0, 0.0, -0.3], dtype=torch.float64)
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def probability_of(order, logits=LOGITS):

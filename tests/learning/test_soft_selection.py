@@ -3,7 +3,7 @@
 import pytest
 import torch
 from closeness import close
-from problems import correspondence_problem, random_transform
+from problems import columns, correspondence_problem, random_transform, seeded
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
@@ -18,16 +18,11 @@ from torchreg.learning import (
 )
 
 
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
-
-
 def matched(count=60, outlier_ratio=0.5, seed=0):
     """Points of the correspondences (M, 3) twice, the true transform, and which are right."""
     problem = correspondence_problem(count, outlier_ratio, seed=seed)
-    source = problem.source.points[problem.matches.source]
-    target = problem.target.points[problem.matches.target]
-    return source, target, problem.T_target_source[0], problem.is_inlier
+    source, target = columns(problem)
+    return source.t(), target.t(), problem.T_target_source[0], problem.is_inlier
 
 
 def select(source, target, rows, **options):

@@ -7,6 +7,7 @@ import torch
 from closeness import close
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import numbers
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
@@ -19,10 +20,6 @@ SOLVERS = {
     "sinkhorn": partial(sinkhorn, dustbin=0.3, iterations=6),
 }
 every_solver = pytest.mark.parametrize("solve", SOLVERS.values(), ids=SOLVERS)
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed + sum(shape)))
 
 
 def some(size, seed=0):

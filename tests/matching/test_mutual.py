@@ -6,16 +6,10 @@ import torch
 from determinism import assert_nothing_shows, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import features
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.types.packing import offsets_of
-
-
-def features(values, lengths=None, valid=None):
-    valid = torch.ones(len(values), dtype=torch.bool) if valid is None else valid
-    offsets = offsets_of([len(values)] if lengths is None else lengths)
-    return tr.Features(values, offsets, (("any", values.shape[1]),), valid)
 
 
 def random_values(rows, width=8, seed=0, dtype=torch.float32):

@@ -5,12 +5,12 @@ import torch
 from closeness import close
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import features, numbers
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
 from torchreg.matching.soft import expected_targets, soft_targets, squared_distances
-from torchreg.types.packing import offsets_of
 
 WAYS = {
     "dual softmax": {"method": "dual_softmax"},
@@ -18,15 +18,6 @@ WAYS = {
     "sinkhorn": {"method": "sinkhorn", "dustbin": -0.4, "iterations": 8},
 }
 every_way = pytest.mark.parametrize("words", WAYS.values(), ids=WAYS)
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed + sum(shape)))
-
-
-def features(values, lengths=None, valid=None):
-    valid = torch.ones(len(values), dtype=torch.bool) if valid is None else valid
-    return tr.Features(values, offsets_of(lengths or [len(values)]), (("any", values.shape[1]),), valid)
 
 
 def unit(*shape, seed=0):

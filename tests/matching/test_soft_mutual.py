@@ -5,10 +5,11 @@ import torch
 from determinism import assert_nothing_shows, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import features
 from refusals import refuses
 
 import torchreg as tr
-from torchreg.types.packing import offsets_of, spans
+from torchreg.types.packing import spans
 
 
 def soft_matches(source, target, neighbors):
@@ -23,12 +24,6 @@ def soft_matches(source, target, neighbors):
         back = distance.argsort(dim=0, stable=True)[:neighbors].t().tolist()
         found += [(left[i], right[k]) for i, row in enumerate(forth) for k in sorted(row) if i in back[k]]
     return found
-
-
-def features(values, lengths=None, valid=None):
-    valid = torch.ones(len(values), dtype=torch.bool) if valid is None else valid
-    offsets = offsets_of([len(values)] if lengths is None else lengths)
-    return tr.Features(values, offsets, (("any", values.shape[1]),), valid)
 
 
 def whole_numbers(rows, width, levels, seed, dtype=torch.float32):

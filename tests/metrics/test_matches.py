@@ -1,10 +1,11 @@
 """Correspondences under the truth: by hand-made values, problems of known truth, and a plain loop over points."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
-from problems import correspondence_problem, matched, pack_problems, random_transform, room_pair
+from problems import correspondence_problem, matched, pack_problems, random_transform, room_pair, turned
 from refusals import refuses
 
 import torchreg as tr
@@ -14,19 +15,10 @@ from torchreg.metrics import information_of_matches, rmse_by_information, rmse_o
 EYE = torch.eye(4, dtype=torch.float64)[None]
 
 
-def turned(axis, degrees):
-    """A rotation about an axis by Rodrigues' formula."""
-    axis = torch.nn.functional.normalize(torch.tensor(axis, dtype=torch.float64), dim=0)
-    x, y, z = axis.tolist()
-    K = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
-    angle = math.radians(degrees)
-    return torch.eye(3, dtype=torch.float64) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
-
-
 def a_little_off(meters, degrees, seed=0):
     g = torch.Generator().manual_seed(seed)
     direction = torch.nn.functional.normalize(torch.randn(3, dtype=torch.float64, generator=g), dim=0)
-    return rigid(turned(torch.randn(3, generator=g).tolist(), degrees), meters * direction)
+    return turned(degrees, torch.randn(3, generator=g).tolist(), (meters * direction).tolist())
 
 
 def by_hand(pair, T_true, T_estimated, threshold):
@@ -47,10 +39,13 @@ def test_hand_made_values():
     assert ratio.tolist() == [0.5]  # a distance of the threshold is out
 
 
+def ratio_of(problem, threshold=0.1):
+    return tr.metrics.inlier_ratio(problem.source, problem.target, problem.matches, problem.T_target_source, threshold)
+
+
 @pytest.mark.parametrize("outlier_ratio", [0.0, 0.25, 0.9, 1.0])
 def test_the_ratio_of_a_problem_is_known(outlier_ratio):
-    problem = correspondence_problem(200, outlier_ratio, size=50.0)
-    ratio = tr.metrics.inlier_ratio(*problem[:4], 0.1)
+    ratio = ratio_of(correspondence_problem(200, outlier_ratio, size=50.0))
     assert ratio.tolist() == pytest.approx([1 - outlier_ratio], abs=0.006)
 
 
@@ -60,7 +55,7 @@ def test_origins_are_taken_into_account():
     source = tr.Clouds(points=problem.source.points, origin=at)
     shift = EYE.clone()
     shift[0, :3, 3] = -at[0]
-    expected = tr.metrics.inlier_ratio(*problem[:4], 0.1)
+    expected = ratio_of(problem)
     T = problem.T_target_source @ shift
     assert tr.metrics.inlier_ratio(source, problem.target, problem.matches, T, 0.1).tolist() == expected.tolist()
 
@@ -68,10 +63,10 @@ def test_origins_are_taken_into_account():
 def test_a_batch_equals_the_loop_over_its_pairs():
     problems = [correspondence_problem(50 + 10 * b, 0.2 * b, seed=b) for b in range(4)]
     none = torch.zeros(0, dtype=torch.int64)
-    problems[2] = problems[2]._replace(matches=matched(none, none))
+    problems[2] = replace(problems[2], matches=matched(none, none))
     T = torch.cat([problem.T_target_source for problem in problems])
     together = tr.metrics.inlier_ratio(*pack_problems(problems), T, 0.1)
-    assert together.tolist() == [float(tr.metrics.inlier_ratio(*problem[:4], 0.1)) for problem in problems]
+    assert together.tolist() == [float(ratio_of(problem)) for problem in problems]
     assert together[2] == 0
 
 
@@ -84,9 +79,9 @@ def test_feature_match_recall_counts_pairs_above_the_least_ratio():
 def test_what_does_not_fit_is_refused():
     problem = correspondence_problem(10)
     with refuses("threshold", "above 0"):
-        tr.metrics.inlier_ratio(*problem[:4], -1)
+        ratio_of(problem, -1)
     with refuses("T_target_source", "(1, 4, 4)"):
-        tr.metrics.inlier_ratio(*problem[:3], EYE[0], 0.1)
+        ratio_of(replace(problem, T_target_source=EYE[0]))
     with refuses("inlier_ratios", "(B,)", "(2, 2)"):
         tr.metrics.feature_match_recall(torch.zeros(2, 2))
 
@@ -152,7 +147,7 @@ def test_the_information_is_the_sum_over_its_points():
 
 def test_half_turns_are_finite_and_far():
     points = torch.randn(50, 3, generator=torch.Generator().manual_seed(0)).double()
-    half = rigid(turned([1.0, 2.0, 0.5], 180.0), torch.zeros(3, dtype=torch.float64))
+    half = turned(180.0, [1.0, 2.0, 0.5])
     error = float(rmse_by_information(torch.eye(4), half, information_of_matches(points)))
     assert math.isfinite(error)
     assert error > 0.5

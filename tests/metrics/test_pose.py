@@ -8,22 +8,13 @@ import torch
 from closeness import close
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import random_rotation, random_transform
+from problems import random_rotation, random_transform, turned
 from refusals import refuses
 
 import torchreg as tr
 from torchreg.geometry.se3 import rigid
 
 EYE = torch.eye(4, dtype=torch.float64)
-
-
-def turned(degrees, axis=(0.0, 0.0, 1.0), translation=(0.0, 0.0, 0.0)):
-    """A turn about an axis by Rodrigues' formula."""
-    x, y, z = torch.nn.functional.normalize(torch.tensor(axis, dtype=torch.float64), dim=0).tolist()
-    K = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
-    angle = math.radians(degrees)
-    R = EYE[:3, :3] + math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
-    return rigid(R, torch.tensor(translation, dtype=torch.float64))
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1e-9, 1e-6, 1e-3, 1.0, 30.0, 90.0, 150.0, 179.9, 180.0])

@@ -5,13 +5,10 @@ import torch
 from determinism import same_bits
 from host_transfers import HostTransfers
 from neighborhoods.oracle import all_pairs
+from problems import random_points
 
 from torchreg.neighborhoods.cells import _nearest_in_cells, k_smallest, make_grid, search_cells
 from torchreg.neighborhoods.distances import squared_distances
-
-
-def random_points(count, seed=0, dtype=torch.float32):
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
 def with_outlier(far):

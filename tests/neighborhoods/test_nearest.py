@@ -5,16 +5,13 @@ import torch
 from determinism import same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import random_points
 from refusals import refuses
 
 from torchreg.neighborhoods import nearest
 
 both_backends = pytest.mark.parametrize("backend", ["open3d", "torch"])
 both_dtypes = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-
-
-def random_points(count, seed=0, dtype=torch.float32):
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
 @both_backends

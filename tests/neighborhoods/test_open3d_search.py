@@ -5,15 +5,12 @@ from importlib import import_module
 import pytest
 import torch
 from determinism import same_bits
+from problems import random_points
 
 from torchreg.neighborhoods.distances import sort_rows
 from torchreg.neighborhoods.open3d_search import Tree, mend_rows, search_open3d
 
 MODULE = import_module("torchreg.neighborhoods.open3d_search")
-
-
-def random_points(count, seed=0, dtype=torch.float32):
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)

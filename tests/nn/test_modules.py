@@ -8,17 +8,12 @@ import pytest
 import torch
 from closeness import close
 from determinism import same_bits
-from problems import sphere_cloud
+from problems import sphere_cloud, uniform
 from refusals import refuses
 
 import torchreg as tr
 from torchreg.descriptors.fuse import rooted
 from torchreg.nn import BinEdges
-
-
-def numbers(*shape, seed=0):
-    return torch.rand(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed + sum(shape)))
-
 
 CLOUD = sphere_cloud(40)
 NEAR = tr.neighbors(CLOUD, 0.9, 10)
@@ -84,7 +79,7 @@ def shaken(module):
     """Other weights than those to begin with."""
     with torch.no_grad():
         for seed, weight in enumerate(module.parameters()):
-            weight += 0.1 * numbers(*weight.shape, seed=seed).to(weight)
+            weight += 0.1 * uniform(*weight.shape, seed=seed).to(weight)
     return module
 
 
@@ -108,7 +103,7 @@ def test_weights_are_all_that_is_learned_and_all_have_gradients(name):
     assert not list(module.buffers())
     weights = list(module.parameters())
     if weights:
-        sum((out * numbers(*out.shape).to(out)).sum() for out in tensors(module(*inputs))).backward()
+        sum((out * uniform(*out.shape).to(out)).sum() for out in tensors(module(*inputs))).backward()
     for weight in weights:
         assert torch.isfinite(weight.grad).all()
         assert weight.grad.any()
@@ -162,13 +157,13 @@ def test_a_copy_is_independent_and_print_shows_the_options(name):
 @pytest.mark.parametrize("binning", ["soft", "hard"])
 def test_descriptors_are_the_functions_with_the_modules_options(binning):
     words = {"binning": binning, "bandwidth": 0.5 if binning == "soft" else 1.0}
-    weights = numbers(*NEAR.index.shape) if binning == "soft" else None
+    weights = uniform(*NEAR.index.shape).double() if binning == "soft" else None
     found = tr.nn.FPFH(mode="pcl", **words)(CLOUD, NEAR, neighbor_weights=weights)
     assert same_bits(found.values, tr.fpfh(CLOUD, NEAR, mode="pcl", neighbor_weights=weights, **words).values)
     words |= {"bins": 5, "channels": ("value", "hue"), "equalization": "none", "saturation_weighting": True}
     found = tr.nn.PCFH(**words)(CLOUD, NEAR, neighbor_weights=weights)
     assert same_bits(found.values, tr.pcfh(CLOUD, NEAR, neighbor_weights=weights, **words).values)
-    values = numbers(40, 3)
+    values = uniform(40, 3).double()
     found = tr.nn.PCFH(**words)(CLOUD, NEAR, values=values)
     assert same_bits(found.values, tr.pcfh(CLOUD, NEAR, values=values, **words).values)
 
@@ -177,7 +172,7 @@ def test_edges_to_learn_begin_as_equal_bins_and_stay_in_order():
     edges = BinEdges(2, 11)
     assert close(edges(), torch.linspace(0, 1, 12).expand(2, 12), atol=1e-6)
     with torch.no_grad():
-        edges.log_widths.copy_(1000 * numbers(2, 11))
+        edges.log_widths.copy_(1000 * uniform(2, 11))
     assert (edges().diff(dim=1) > 0).all()
     assert edges()[:, 0].tolist() == [0, 0]
     assert edges()[:, -1].tolist() == [1, 1]

@@ -4,6 +4,7 @@ import pytest
 import torch
 from closeness import close
 from host_transfers import HostTransfers
+from problems import uniform
 from torch.func import grad, vmap
 
 import torchreg as tr
@@ -21,27 +22,23 @@ pytestmark = [
 ]
 
 
-def numbers(*shape):
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(sum(shape)))
-
-
 def distances(source, target):
     return squared_distances(source, target, source[:, 0] > 0.2, target[:, 0] > 0.2)
 
 
 KERNELS = {
-    "dual_softmax": (lambda s: dual_softmax(s, source_valid=s.detach()[:, 0] > 0.5), [numbers(4, 5)]),
-    "dual_softmax with a dustbin": (lambda s, d: dual_softmax(s, dustbin=d), [numbers(4, 5), numbers(1)]),
-    "sinkhorn": (lambda s, d: sinkhorn(s, dustbin=d, iterations=3), [numbers(4, 5), numbers(1)]),
-    "squared_distances": (distances, [numbers(4, 6), numbers(5, 6)]),
-    "expected_targets": (lambda c, q: torch.cat([*expected_targets(c, q)[:1]]), [numbers(4, 5), numbers(5, 3)]),
-    "soft_kabsch": (soft_kabsch, [numbers(4, 3), numbers(5, 3), numbers(4, 5)]),
+    "dual_softmax": (lambda s: dual_softmax(s, source_valid=s.detach()[:, 0] > 0.5), [uniform(4, 5)]),
+    "dual_softmax with a dustbin": (lambda s, d: dual_softmax(s, dustbin=d), [uniform(4, 5), uniform(1)]),
+    "sinkhorn": (lambda s, d: sinkhorn(s, dustbin=d, iterations=3), [uniform(4, 5), uniform(1)]),
+    "squared_distances": (distances, [uniform(4, 6), uniform(5, 6)]),
+    "expected_targets": (lambda c, q: torch.cat([*expected_targets(c, q)[:1]]), [uniform(4, 5), uniform(5, 3)]),
+    "soft_kabsch": (soft_kabsch, [uniform(4, 3), uniform(5, 3), uniform(4, 5)]),
     "robust_kabsch": (
         lambda p, q, c: robust_kabsch(p, q, c, scale=0.3, rounds=2),
-        [numbers(4, 3), numbers(5, 3), numbers(4, 5)],
+        [uniform(4, 3), uniform(5, 3), uniform(4, 5)],
     ),
-    "kabsch": (tr.kabsch, [numbers(5, 3), numbers(6, 3)[1:], numbers(5)]),
-    "ascending_edges": (ascending_edges, [numbers(3, 11)]),
+    "kabsch": (tr.kabsch, [uniform(5, 3), uniform(6, 3)[1:], uniform(5)]),
+    "ascending_edges": (ascending_edges, [uniform(3, 11)]),
 }
 every_kernel = pytest.mark.parametrize("name", KERNELS)
 
@@ -53,7 +50,7 @@ def leaves(inputs):
 def value_and_gradients(kernel, inputs):
     made = leaves(inputs)
     out = kernel(*made)
-    return out, *torch.autograd.grad((out * numbers(*out.shape).to(out)).sum(), made)
+    return out, *torch.autograd.grad((out * uniform(*out.shape).to(out)).sum(), made)
 
 
 def assert_compiles(name, backend):
@@ -99,7 +96,7 @@ def test_transforms_of_torch_func_give_the_gradients_of_autograd(name):
     kernel, inputs = KERNELS[name]
     several = [torch.stack([value, 0.5 * value + 0.1]) for value in inputs]
 
-    weights = numbers(*kernel(*inputs).shape)
+    weights = uniform(*kernel(*inputs).shape)
 
     def loss(*values):
         return (kernel(*values) * weights).sum()

@@ -6,16 +6,12 @@ from closeness import close
 from determinism import pieces, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import garbage_in_invalid_slots, room_pair
+from problems import garbage_in_invalid_slots, numbers, room_pair
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
 
 AWAY = torch.tensor([[0.3, -0.2, 9.0]], dtype=torch.float64)
-
-
-def numbers(*shape, seed=0):
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
 def normals(points, viewpoint=AWAY, max_neighbors=6):

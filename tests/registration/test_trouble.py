@@ -3,7 +3,8 @@
 import pytest
 import torch
 from determinism import same_bits, threads
-from scenes import FURNISHED, OTHER_ROOM, SYMMETRIC, boxes, moved_pair, scan, turned
+from problems import turned
+from scenes import FURNISHED, OTHER_ROOM, SYMMETRIC, boxes, moved_pair, scan
 
 import torchreg as tr
 
@@ -53,7 +54,7 @@ def test_a_symmetric_room_is_ambiguous(seed):
 
 def test_a_plane_slides():
     g = torch.Generator().manual_seed(0)
-    T = turned(30.0, (1.0, 2.0, 3.0))
+    T = turned(30.0, translation=(1.0, 2.0, 3.0))
 
     def sheet():
         return torch.cat([torch.rand(9000, 2, generator=g) * 10 - 5, torch.zeros(9000, 1)], dim=1)
@@ -67,7 +68,7 @@ def test_a_plane_slides():
 
 def test_a_corridor_slides():
     g = torch.Generator().manual_seed(0)
-    T = turned(30.0, (1.0, 2.0, 3.0))
+    T = turned(30.0, translation=(1.0, 2.0, 3.0))
 
     def piece(low, high):
         points = boxes((((0.0, 0.0, 1.25), (40.0, 2.0, 2.5)),), g)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from problems import random_transform
+from problems import random_transform, turned
 from refusals import refuses
 from results import (
     FOUR_POINTS,
@@ -17,7 +17,6 @@ from results import (
     candidate,
     failed_result,
     number,
-    turn,
     verified_result,
 )
 
@@ -113,14 +112,18 @@ def test_the_runner_up_is_measured_in_the_middle_of_the_overlap():
     information = 50 * torch.eye(6, dtype=torch.float64)
     information[:3, 3:] = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
     information[3:, :3] = information[:3, 3:].T
-    moved = turn(90)[:3, :3] @ center - center + (turn(100, (3.0, 4.0, 0.0)) @ torch.linalg.inv(turn(10)))[:3, 3]
+    moved = (
+        turned(90)[:3, :3] @ center
+        - center
+        + (turned(100, translation=(3.0, 4.0, 0.0)) @ torch.linalg.inv(turned(10)))[:3, 3]
+    )
     text = verified_result(information=information[None]).explain()
     assert f"moved by {float(moved.norm()):.4g} m" in line(text, "Runner-up")
 
 
 def test_the_distance_of_the_runner_up_does_not_change_with_the_frame():
     """Clouds far from their zero: poses and information in the far frame, the same words."""
-    shift = turn(0, (5e5, 5e6, 300.0))
+    shift = turned(0, translation=(5e5, 5e6, 300.0))
     back = torch.linalg.inv(shift)
     far = {
         name: (shift @ getattr(verified_result(), name)[0] @ back)[None] for name in ("T_target_source", "runner_up")
@@ -288,7 +291,7 @@ def test_without_a_pose_nothing_is_said_of_one():
 def test_pairs_of_a_batch_are_told_apart():
     both = replace(
         bare_result(),
-        T_target_source=torch.stack([turn(10), turn(0)]),
+        T_target_source=torch.stack([turned(10), turned(0)]),
         **{name: getattr(bare_result(), name).repeat(2) for name in ("fitness", "inlier_rmse")},
         success=torch.tensor([True, False]),
         failure=(None, tr.Failure("no consensus", "no consensus: none")),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from determinism import THREADS, same_bits, threads
-from problems import Problem, correspondence_problem, matched, pack_problems
+from problems import MatchProblem, correspondence_problem, matched, pack_problems
 
 import torchreg as tr
 from torchreg.solvers import batch as module
@@ -48,9 +48,9 @@ def hopeless():
     none = torch.zeros(30, dtype=torch.bool)
     eye = torch.eye(4, dtype=torch.float64)[None]
     return [
-        Problem(point, point, matched(rows, rows), eye, none),
-        Problem(point, point, matched(rows[:2], rows[:2]), eye, none[:2]),
-        Problem(broken, point, matched(rows, rows), eye, none),
+        MatchProblem(point, point, matched(rows, rows), eye, none),
+        MatchProblem(point, point, matched(rows[:2], rows[:2]), eye, none[:2]),
+        MatchProblem(broken, point, matched(rows, rows), eye, none),
     ]
 
 

@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 import torch
-from scans import colors_of, in_target, nearest, same_bits
+from determinism import same_bits
+from scans import colors_of, in_target, nearest
 
 import torchreg as tr
 from torchreg.datasets import ScanPair
 from torchreg.synthetic.scene.environment import Environment, scan_twice
+from torchreg.synthetic.scene.light import indoor_light
 from torchreg.synthetic.scene.paint import muted, paint, vivid
 from torchreg.synthetic.scene.placing import FIXED, ONLY_TARGET, Pieces, scatter
 from torchreg.synthetic.scene.quads import Quads, boxes, rectangles, up
 from torchreg.synthetic.scene.scanner import LaserScanner
-from torchreg.synthetic.scene.weather import indoor_light
 
 SIZE = np.array([8.0, 6.0, 3.0])
 

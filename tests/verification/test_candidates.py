@@ -1,8 +1,10 @@
 """Probes are rigid, and as far away as they say."""
 
 import torch
+from closeness import assert_rigid
 from problems import random_transform
 
+from torchreg.geometry.se3 import rigid
 from torchreg.solvers.poses import pose_vectors
 from torchreg.verification.candidates import PointMoments, Poses, distinct, frames, half_turns, slides
 from torchreg.verification.information import weakest_motions
@@ -31,20 +33,13 @@ def moments_of(points):
     return PointMoments(wide.mean(dim=0)[None], (apart.t() @ apart)[None], torch.tensor([float(len(wide))]).double())
 
 
-def assert_rigid(poses):
-    R = poses.rotation
-    eye = torch.eye(3, dtype=torch.float64).expand_as(R)
-    assert torch.allclose(R @ R.transpose(-1, -2), eye, atol=1e-9)
-    assert torch.allclose(torch.det(R), torch.ones(len(R), dtype=torch.float64), atol=1e-9)
-
-
 def test_slides_move_the_points_by_their_steps():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
     normals = (NORMALS @ pose.rotation[0].float().t()).t()[:, None]
     motion = weakest_motions(*(filled_up(values) for values in (placed.t()[:, None], normals)), VALID)
     probes = slides(pose, motion, torch.tensor([0.01], dtype=torch.float64))
-    assert_rigid(probes)
+    assert_rigid(rigid(probes.rotation, probes.translation))
     moved = POINTS.double() @ probes.rotation.transpose(1, 2) + probes.translation[:, None]
     apart = (moved - placed).square().sum(dim=-1).mean(dim=-1).sqrt()
     assert torch.allclose(apart, torch.tensor([0.16, 0.08, 0.08, 0.16], dtype=torch.float64), rtol=0.02)
@@ -54,7 +49,7 @@ def test_half_turns_are_half_turns_about_the_middle():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
     probes = half_turns(pose, moments_of(placed))
-    assert_rigid(probes)
+    assert_rigid(rigid(probes.rotation, probes.translation))
     turns = probes.rotation @ pose.rotation[0].t()
     assert torch.allclose(torch.diagonal(turns, dim1=1, dim2=2).sum(dim=1), -torch.ones(3, dtype=torch.float64))
     moved = POINTS.double() @ probes.rotation.transpose(1, 2) + probes.translation[:, None]

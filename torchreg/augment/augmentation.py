@@ -68,7 +68,7 @@ class Augmentation(nn.Module):
         return self.tracked(clouds).clouds
 
     def tracked(self, clouds: Clouds, seeds: Sequence[int] | None = None) -> Tracked:
-        """Change the clouds and tell how they were moved.
+        """Change the clouds and return their motion too.
 
         Args:
             clouds: B clouds, on any device.
@@ -82,9 +82,6 @@ class Augmentation(nn.Module):
         if seeds is None or self._has_generator:
             seeds = self._stream.draw(len(clouds))
         expect(len(seeds) == len(clouds), "seeds", f"{len(clouds)} numbers, one a cloud", len(seeds))
-        return self._with_seeds(clouds, seeds)
-
-    def _with_seeds(self, clouds: Clouds, seeds: Sequence[int]) -> Tracked:
         parts = [self._maybe_one(cloud, seed) for cloud, seed in zip(clouds.unpack(), seeds, strict=True)]
         if not parts:
             return Tracked(clouds, unmoved(clouds))

@@ -23,7 +23,7 @@ class Illumination(Augmentation):
     """Changes the colors of every cloud as a whole, as another light or another camera does.
 
     In linear light, each channel is multiplied by a gain of its own (white balance) and all by one (exposure); then
-    come a power of the sRGB values (gamma) and a shift along the color circle (hue). Results are cut off at 0 and 1, so
+    come a power of the sRGB values (gamma) and a shift along the color circle (hue). Results are clipped to [0, 1], so
     no gradient reaches clipped colors; elsewhere gradients flow to colors. A cloud without colors stays as it is.
 
     Args:
@@ -31,8 +31,7 @@ class Illumination(Augmentation):
         exposure: the largest change of brightness, in stops, at most 8.
         gamma: the largest exponent, the least being its inverse; in [1, 4].
         hue: the largest shift of hue, in turns of the color circle, at most 1.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.

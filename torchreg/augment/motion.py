@@ -17,19 +17,18 @@ _AXES = ("any", "up")
 
 
 class RandomMotion(Augmentation):
-    """Turns every cloud about its own zero and shifts it.
+    """Rotates every cloud about its ``origin`` and shifts it.
 
     Points, normals, viewpoint and origin move together, in float64; gradients flow to points, normals and viewpoint.
-    About the axis ``"any"``, rotations are even over all those of at most ``angle`` (the Haar measure on SO(3), whose
-    density over the angle is 1 - cos), so that 180 degrees gives uniform rotations; about ``"up"`` only the heading
-    changes, as between two scanners that stand level, evenly within plus and minus ``angle``.
+    About the axis ``"any"``, rotations are uniform over all those of at most ``angle`` (the Haar measure on SO(3),
+    whose density over the angle is 1 - cos), so that 180 degrees gives uniform rotations; about ``"up"`` only the
+    heading changes, as between two scanners that stand level, uniformly within plus and minus ``angle``.
 
     Args:
         angle: degrees, the largest rotation, in [0, 180].
-        shift: meters, the radius of the ball from which shifts are drawn evenly.
+        shift: meters, the radius of the ball from which shifts are drawn uniformly.
         axis: ``"any"`` or ``"up"``, the z axis.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -59,15 +58,15 @@ class RandomMotion(Augmentation):
         """Move one cloud."""
         largest = math.radians(self.angle)
         numbers = torch.rand(2, generator=draw, dtype=torch.float64).tolist()
-        axis, way = torch.nn.functional.normalize(torch.randn(2, 3, generator=draw, dtype=torch.float64), dim=1)
+        axis, direction = torch.nn.functional.normalize(torch.randn(2, 3, generator=draw, dtype=torch.float64), dim=1)
         if self.axis == "up":
             axis, angle = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), (2 * numbers[0] - 1) * largest
         else:
             angle = _haar_angle(numbers[0], largest)
         R = _about(axis, angle).to(cloud.device)
-        t = (self.shift * numbers[1] ** (1 / 3) * way).to(cloud.device)
-        zero = cloud.origin[0]
-        T = rigid(R, zero - apply_rotation(R, zero) + t)[None]
+        t = (self.shift * numbers[1] ** (1 / 3) * direction).to(cloud.device)
+        origin = cloud.origin[0]
+        T = rigid(R, origin - apply_rotation(R, origin) + t)[None]
         return Tracked(transform(cloud, T), T)
 
 
@@ -80,8 +79,7 @@ class Jitter(Augmentation):
     Args:
         sigma: meters, the standard deviation before it is cut off.
         clip: standard deviations, the farthest that a coordinate moves.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.

@@ -23,10 +23,9 @@ class RandomCrop(Augmentation):
     the first stay. Gradients flow to the values of the rows that stay. Nothing is read back from the device.
 
     Args:
-        keep: the share of points that stays is drawn evenly from this range, in [0, 1].
+        keep: the share of points that stays is drawn uniformly from this range, in [0, 1].
         shape: ``"plane"``, ``"box"`` or ``"sphere"``.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -61,16 +60,15 @@ class RandomThin(Augmentation):
     """Keeps a random choice of points, and exactly the share drawn: ``ceil(share * points)``, at least one.
 
     Points are drawn one after another without replacement, each with a chance in proportion to r to the power of
-    ``-falloff``, r being its distance from the viewpoint (from the points' zero where that is not known): 0 thins
+    ``-falloff``, r being its distance from the viewpoint (from the zero of its frame where that is not known): 0 thins
     evenly, 2 as the beams of a scanner spread. Drawn by the least of exponential arrival times (Efraimidis and
     Spirakis, 2006, doi:10.1016/j.ipl.2005.11.003). Rows keep their order; gradients flow to the values of those that
     stay.
 
     Args:
-        keep: the share of points that stays is drawn evenly from this range, in [0, 1].
-        falloff: is drawn evenly from this range, in [0, 4].
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        keep: the share of points that stays is drawn uniformly from this range, in [0, 1].
+        falloff: is drawn uniformly from this range, in [0, 4].
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -109,9 +107,8 @@ class RandomVoxels(Augmentation):
     How many stay is read back from the device.
 
     Args:
-        voxel_size: meters, the edge of the cubes is drawn evenly from this range, above 0.
-        probability: as for ``Augmentation``.
-        generator: as for ``Augmentation``.
+        voxel_size: meters, the edge of the cubes is drawn uniformly from this range, above 0.
+        probability, generator: as for ``Augmentation``.
 
     Raises:
         ValueError: an argument out of its range, or more than 2^20 cubes along an axis of a cloud.
@@ -160,8 +157,8 @@ def _kept_rows(cloud: Clouds, rank: Tensor, count: int) -> Clouds:
 
 
 def _along_direction(points: Tensor, draw: torch.Generator) -> Tensor:
-    way = torch.nn.functional.normalize(torch.randn(3, generator=draw, dtype=torch.float64), dim=0)
-    return (points * way.to(points.device)).sum(dim=1)
+    direction = torch.nn.functional.normalize(torch.randn(3, generator=draw, dtype=torch.float64), dim=0)
+    return (points * direction.to(points.device)).sum(dim=1)
 
 
 def _from_point(points: Tensor, draw: torch.Generator) -> Tensor:

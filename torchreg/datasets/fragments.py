@@ -44,13 +44,7 @@ class Fragments(PairFiles):
             ``-evaluation`` sibling, such as ``gt_lo.log``. Or a folder with ``SCENE/gt.log`` for every scene, as
             3DMatch and 3DLoMatch come with Huang et al., Predator, CVPR 2021, doi:10.1109/CVPR46437.2021.00425. Its
             information lies beside it under the same name with the suffix ``.info``.
-        voxel_size: as for ``ScanPairs``, and so all that follow.
-        viewpoint: as for ``ScanPairs``.
-        dtype: as for ``ScanPairs``.
-        colors: as for ``ScanPairs``.
-        normals: as for ``ScanPairs``.
-        device: as for ``ScanPairs``.
-        transform: as for ``ScanPairs``.
+        voxel_size, viewpoint, dtype, colors, normals, device, transform: as for ``ScanPairs``.
 
     Raises:
         CloudFileError: no fragments or no log, a log that cannot be read or is cut short, a matrix that is not

@@ -81,8 +81,8 @@ class ScanPairs(PairFiles):
     """The pairs of a table with the columns ``source``, ``target`` and, where wanted, ``truth`` and ``name``.
 
     The table is read at once, the clouds when an item is indexed: in the workers of a ``DataLoader``, where it has
-    some. Items are ``ScanPair``; ``pack_pairs`` is the ``collate_fn``. ``read_pairs_file`` tells the form of the table;
-    columns of other names are ignored.
+    some. Items are ``ScanPair``; ``pack_pairs`` is the ``collate_fn``. ``read_pairs_file`` describes the form of the
+    table; columns of other names are ignored.
 
     Args:
         path: the table.

@@ -36,6 +36,7 @@ from torchreg.types import Clouds, Features, Neighborhoods
 SHIPPED = Path(__file__).with_suffix(".json")
 BLOCK = "learned"
 _CUES = 6
+_OLD_LAYERS = {"say_in": "cue_layer", "say_out": "weight_layer"}  # names in files of earlier versions
 
 
 class LearnedColor(nn.Module):
@@ -154,7 +155,9 @@ def save_weights(model: LearnedColor, path: Path) -> Path:
 
 
 def load_weights(path: Path = SHIPPED) -> LearnedColor:
-    """Read a model as ``save_weights`` wrote it; without a path, the one shipped with the library.
+    """Read a model that ``save_weights`` wrote; without a path, the one that comes with the library.
+
+    Files of earlier releases, whose layers had other names, are read too.
 
     Raises:
         FileNotFoundError: no such file.
@@ -163,7 +166,11 @@ def load_weights(path: Path = SHIPPED) -> LearnedColor:
     content: dict[str, Any] = json.loads(path.read_text())
     with torch.random.fork_rng(devices=[]):  # the drawn weights are overwritten at once
         model = LearnedColor(bins=content["bins"], channels=tuple(content["channels"]), hidden=content["hidden"])
-    model.load_state_dict({name: torch.tensor(value) for name, value in content["parameters"].items()})
+    parameters = {}
+    for name, value in content["parameters"].items():
+        layer, dot, rest = name.partition(".")
+        parameters[_OLD_LAYERS.get(layer, layer) + dot + rest] = torch.tensor(value)
+    model.load_state_dict(parameters)
     return model.requires_grad_(False)
 
 

@@ -182,10 +182,10 @@ def inlier_probability_loss(logits: Tensor, is_inlier: Tensor) -> Tensor:
     expect(is_inlier.shape == logits.shape, "is_inlier", f"{tuple(logits.shape)}", is_inlier)
     expect_dtype(is_inlier, "is_inlier", torch.bool)
     inliers, outliers = is_inlier.sum(), (~is_inlier).sum()
-    missed = torch.where(is_inlier, softplus(-logits), 0).sum() / inliers.clamp(min=1)
-    believed = torch.where(is_inlier, 0, softplus(logits)).sum() / outliers.clamp(min=1)
+    inlier_loss = torch.where(is_inlier, softplus(-logits), 0).sum() / inliers.clamp(min=1)
+    outlier_loss = torch.where(is_inlier, 0, softplus(logits)).sum() / outliers.clamp(min=1)
     classes = (inliers > 0).to(logits.dtype) + (outliers > 0).to(logits.dtype)
-    return (missed + believed) / classes.clamp(min=1)
+    return (inlier_loss + outlier_loss) / classes.clamp(min=1)
 
 
 def _side(pull: Tensor, push: Tensor, same: Tensor, other: Tensor) -> Tensor:
@@ -194,11 +194,11 @@ def _side(pull: Tensor, push: Tensor, same: Tensor, other: Tensor) -> Tensor:
         return pull.sum()
     counted = same.any(dim=1) & other.any(dim=1)
 
-    def together(exponent: Tensor, mask: Tensor) -> Tensor:
+    def log_sum(exponent: Tensor, mask: Tensor) -> Tensor:
         # a row that does not count keeps its exponents: no sum is empty
         return exponent.masked_fill(~mask & counted[:, None], -torch.inf).logsumexp(dim=1)
 
-    loss = softplus(together(pull, same) + together(push, other))
+    loss = softplus(log_sum(pull, same) + log_sum(push, other))
     return torch.where(counted, loss, 0).sum() / counted.sum().clamp(min=1)
 
 

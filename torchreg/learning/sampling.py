@@ -80,8 +80,8 @@ def draw_samples(
 def _log_left(log_share: Tensor, rows: Tensor) -> Tensor:
     """(H, S): the logarithm of what was left at every draw, without cancellation.
 
-    One less what was drawn loses all digits where few weights dominate. So the S - 1 heaviest are kept apart from the
-    sum of the others: as long as a draw took one of the others, one of the heaviest is left that outweighs it.
+    One minus the shares drawn loses all digits where few weights dominate. So the S - 1 heaviest are kept apart from
+    the sum of the others: as long as a draw took one of the others, one of the heaviest is left that outweighs it.
     """
     heavy = log_share.detach().topk(rows.shape[1] - 1).indices  # (S - 1,)
     others = log_share.index_fill(0, heavy, -torch.inf).logsumexp(dim=0)  # ()

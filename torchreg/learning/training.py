@@ -22,13 +22,13 @@ class TrainingOptions:
     Attributes:
         steps: of the optimizer, one pair each.
         anchors: source points per step, drawn from those with a true partner.
+        max_points: of a scan; larger pairs are cropped once, around a place that both scans see.
         rate: step size of Adam.
         temperature: of the contrastive loss.
-        max_points: of a scan; larger pairs are cropped once, around a place that both scans see.
         color_radius: in voxels, the support of the color block.
         partner_radius: in voxels; points nearer than this under the truth are partners, and those within twice as far
             do not count as wrong.
-        seed: of all draws.
+        seed: of all random draws.
     """
 
     steps: int = 60
@@ -80,9 +80,11 @@ def train_color(
     options = options or TrainingOptions()
     expect(len(pairs) > 0, "pairs", "at least one", pairs)
     generator = torch.Generator().manual_seed(options.seed)
-    parts = [cropped(pair, options.max_points, generator) for pair in pairs]
-    usable = [(pair, *_partners(pair, options)) for pair in parts]
-    usable = [entry for entry in usable if len(entry[1]) >= 2]
+    usable = []
+    for pair in [cropped(pair, options.max_points, generator) for pair in pairs]:
+        partner, is_close = pair.true_partners(options.partner_radius * pair.voxel)
+        if is_close.sum() >= 2:
+            usable.append((pair, is_close.nonzero()[:, 0], partner[is_close]))
     expect(len(usable) > 0, "pairs", "pairs whose scans overlap", [pair.name for pair in pairs])
     optimizer = torch.optim.Adam(model.parameters(), lr=options.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.steps)
@@ -101,34 +103,18 @@ def train_color(
     return losses
 
 
-def _partners(pair: PreparedPair, options: TrainingOptions) -> tuple[Tensor, Tensor]:
-    """Source rows that have a true partner, and these partners."""
-    index, close = pair.true_partners(options.partner_radius * pair.voxel)
-    rows = torch.arange(len(index), device=index.device)[close]
-    return rows, index[rows]
-
-
 def _loss(model: LearnedColor, pair: PreparedPair, rows: Tensor, partners: Tensor, options: TrainingOptions) -> Tensor:
-    """InfoNCE of anchors against all points of the other scan, both ways, as mutual matching will compare them."""
-    radius = options.color_radius * pair.voxel
+    """InfoNCE of anchors against all points of the other scan, both ways, as mutual matching compares them."""
     source, target = (
-        torch.nn.functional.normalize(describe_with(model, side, radius).values, dim=1)
+        torch.nn.functional.normalize(describe_with(model, side, options.color_radius * pair.voxel).values, dim=1)
         for side in (pair.source, pair.target)
     )
-    close = 2 * options.partner_radius * pair.voxel
-    places, others = pair.target.cloud.points, pair.source.cloud.points
-    forth = info_nce(
-        source[rows],
-        target,
-        partners,
-        ignored=torch.cdist(places[partners], places) < close,
-        temperature=options.temperature,
-    )
-    back = info_nce(
-        target[partners],
-        source,
-        rows,
-        ignored=torch.cdist(others[rows], others) < close,
-        temperature=options.temperature,
-    )
+
+    def one_way(anchors: Tensor, features: Tensor, partner: Tensor, side: PreparedCloud) -> Tensor:
+        points = side.cloud.points
+        near_partner = torch.cdist(points[partner], points) < 2 * options.partner_radius * pair.voxel
+        return info_nce(anchors, features, partner, ignored=near_partner, temperature=options.temperature)
+
+    forth = one_way(source[rows], target, partners, pair.target)
+    back = one_way(target[partners], source, rows, pair.source)
     return (forth + back) / 2

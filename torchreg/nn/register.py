@@ -1,4 +1,4 @@
-"""The whole way from two clouds to their pose as one module, every step of which passes gradients on."""
+"""Registration of two clouds as one module, every step of which passes gradients on."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class SoftRegistration(NamedTuple):
     Attributes:
         T_target_source: (B, 4, 4) float64, meters, origins included.
         matches: of the points below.
-        source: the clouds as they were described: thinned if asked for, in Z order, with normals.
+        source: the clouds that were described: downsampled where options have voxels, in Z order, with normals.
         target: likewise.
         source_features: of its points.
         target_features: likewise.
@@ -66,8 +66,8 @@ class Register(nn.Module):
     Example:
         >>> import torchreg as tr
         >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
-        >>> found = Register(tr.RegistrationOptions(voxel_size=1.0))(pair.source, pair.target)
-        >>> found.T_target_source.shape, found.T_target_source.requires_grad
+        >>> result = Register(tr.RegistrationOptions(voxel_size=1.0))(pair.source, pair.target)
+        >>> result.T_target_source.shape, result.T_target_source.requires_grad
         (torch.Size([1, 4, 4]), True)
     """
 

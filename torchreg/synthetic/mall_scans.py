@@ -16,11 +16,10 @@ from torchreg.synthetic.architecture.shops import bay
 from torchreg.synthetic.furniture import indoor
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.environment import Environment, scan_twice
-from torchreg.synthetic.scene.light import Light
+from torchreg.synthetic.scene.light import Light, indoor_light
 from torchreg.synthetic.scene.placing import FIXED, MOVED, ONLY_SOURCE, ONLY_TARGET, Contents, Pieces, scatter
 from torchreg.synthetic.scene.quads import Quads, up
 from torchreg.synthetic.scene.scanner import LaserScanner
-from torchreg.synthetic.scene.weather import indoor_light
 from torchreg.types.scan_pair import ScanPair
 
 _FURNITURE = (
@@ -73,12 +72,7 @@ def mall(
         (3, torch.Size([4, 4]))
     """
     return scan_twice(
-        _MALL,
-        seed,
-        baseline=baseline,
-        angular_step=angular_step,
-        range_noise=range_noise,
-        relight=relight,
+        _MALL, seed, baseline=baseline, angular_step=angular_step, range_noise=range_noise, relight=relight
     )
 
 

@@ -82,7 +82,7 @@ def match_problem(
     generator = torch.Generator().manual_seed(seed)
     draw = _in_cube if place == "cube" else _in_room
     p = size * draw(count, generator)
-    T = rigid(_rotation(generator), 5 * torch.randn(3, dtype=torch.float64, generator=generator))
+    T = rigid(random_rotation(generator), 5 * torch.randn(3, dtype=torch.float64, generator=generator))
     order = torch.randperm(count, generator=generator)
     world = p + noise * torch.randn(count, 3, dtype=torch.float64, generator=generator)
     world[order[:wrong]] = size * draw(wrong, generator)
@@ -116,7 +116,7 @@ def _in_room(count: int, generator: torch.Generator) -> Tensor:
     return low[box] + where * edge[box]
 
 
-def _rotation(generator: torch.Generator) -> Tensor:
+def random_rotation(generator: torch.Generator) -> Tensor:
     """A rotation (3, 3) float64, uniform over SO(3), from a random unit quaternion."""
     w, x, y, z = torch.nn.functional.normalize(torch.randn(4, dtype=torch.float64, generator=generator), dim=0).tolist()
     rows = [

@@ -16,10 +16,10 @@ from torchreg.synthetic.furniture import indoor, outdoor, plants
 from torchreg.synthetic.furniture.vehicles import car, van
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.environment import Environment, scan_twice
+from torchreg.synthetic.scene.light import daylight
 from torchreg.synthetic.scene.placing import FIXED, ONLY_SOURCE, ONLY_TARGET, Contents, Pieces, clear_of, scatter
 from torchreg.synthetic.scene.quads import Quads
 from torchreg.synthetic.scene.scanner import LaserScanner
-from torchreg.synthetic.scene.weather import daylight
 from torchreg.types.scan_pair import ScanPair
 
 _ON_LAWNS = (
@@ -70,12 +70,7 @@ def road(
         (3, torch.Size([4, 4]))
     """
     return scan_twice(
-        _ROAD,
-        seed,
-        baseline=baseline,
-        angular_step=angular_step,
-        range_noise=range_noise,
-        relight=relight,
+        _ROAD, seed, baseline=baseline, angular_step=angular_step, range_noise=range_noise, relight=relight
     )
 
 

@@ -6,17 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from problems import sphere_cloud
+from problems import numbers, sphere_cloud
 from torch import Tensor
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchreg as tr
 
 FEW = 5
-
-
-def numbers(*shape: int, seed: int = 0) -> Tensor:
-    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
 def small(seed: int = 0) -> tr.Clouds:

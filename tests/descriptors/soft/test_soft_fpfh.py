@@ -4,8 +4,8 @@ import pytest
 import torch
 from closeness import close
 from determinism import assert_nothing_shows, pieces, same_bits
-from gradients import FEW, TROUBLE, assert_derivatives, changed, finite_gradients, leaves, numbers, small
-from problems import garbage_in_invalid_slots, room_pair, sphere_cloud
+from gradients import FEW, TROUBLE, assert_derivatives, changed, finite_gradients, leaves, small
+from problems import garbage_in_invalid_slots, numbers, oriented_room, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
@@ -22,12 +22,6 @@ def of_leaves(near, **options):
         return soft(tr.Clouds(points=points, normals=normals), near, neighbor_weights=weights, **options).values
 
     return function
-
-
-def oriented_room(count=600, dtype=torch.float32):
-    scan = room_pair(count, dtype=dtype).source
-    near = tr.neighbors(scan, 1.0, 40)
-    return tr.estimate_normals(scan, near), near
 
 
 @pytest.mark.parametrize("mode", ["open3d", "pcl"])

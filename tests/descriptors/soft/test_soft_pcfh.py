@@ -4,8 +4,8 @@ import pytest
 import torch
 from closeness import close
 from determinism import assert_nothing_shows, pieces, same_bits
-from gradients import FEW, TROUBLE, assert_derivatives, changed, finite_gradients, leaves, numbers, small
-from problems import garbage_in_invalid_slots, room_pair, sphere_cloud
+from gradients import FEW, TROUBLE, assert_derivatives, changed, finite_gradients, leaves, small
+from problems import garbage_in_invalid_slots, numbers, room_pair, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr

@@ -5,16 +5,11 @@ import torch
 from determinism import THREADS, same_bits, threads
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import columns
 
 from torchreg.datasets import match_problem
 from torchreg.solvers.compatibility import graph as module
 from torchreg.solvers.compatibility.graph import first_order, second_order
-
-
-def columns(problem, dtype=torch.float32):
-    source = problem.source.points[problem.matches.source].t()
-    target = problem.target.points[problem.matches.target].t()
-    return source.to(dtype).contiguous(), target.to(dtype).contiguous()
 
 
 def naive_graph(source, target, threshold):
@@ -48,7 +43,7 @@ def test_both_orders_are_those_of_the_definition(seed, count, threshold):
 
 def test_inliers_agree_with_each_other_and_share_their_partners():
     problem = match_problem(400, 0.8, noise=0.01)
-    graph = first_order(*columns(problem), 0.2)
+    graph = first_order(*columns(problem, torch.float32), 0.2)
     shared = second_order(graph)
     right = problem.is_inlier
     assert graph[right][:, right].mean() > 0.98
@@ -57,20 +52,20 @@ def test_inliers_agree_with_each_other_and_share_their_partners():
 
 
 def test_the_graph_is_symmetric_with_a_diagonal_of_zeros():
-    graph = first_order(*columns(match_problem(300, 0.7)), 0.2)
+    graph = first_order(*columns(match_problem(300, 0.7), torch.float32), 0.2)
     assert torch.equal(graph, graph.t())
     assert torch.equal(graph.diagonal(), torch.zeros(300))
     assert set(graph.unique().tolist()) == {0.0, 1.0}
 
 
 def test_swapped_sides_give_the_same_graph():
-    source, target = columns(match_problem(300, 0.7))
+    source, target = columns(match_problem(300, 0.7), torch.float32)
     assert torch.equal(first_order(source, target, 0.2), first_order(target, source, 0.2))
 
 
 @pytest.mark.parametrize("tile", [1, 1000, 1 << 22])
 def test_neither_threads_nor_tiles_change_a_bit(tile, monkeypatch):
-    source, target = columns(match_problem(700, 0.7))
+    source, target = columns(match_problem(700, 0.7), torch.float32)
     expected = second_order(first_order(source, target, 0.2))
     monkeypatch.setattr(module, "TILE_ELEMENTS", tile)
     for number in THREADS:

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from determinism import THREADS, same_bits, threads
+from problems import columns
 
 from torchreg.datasets import match_problem
 from torchreg.solvers.compatibility import nodes as module
@@ -10,15 +11,9 @@ from torchreg.solvers.compatibility.graph import first_order
 from torchreg.solvers.compatibility.nodes import choose_nodes, degrees, degrees_among
 
 
-def columns(problem):
-    source = problem.source.points[problem.matches.source].t()
-    target = problem.target.points[problem.matches.target].t()
-    return source.float().contiguous(), target.float().contiguous()
-
-
 @pytest.mark.parametrize(("tile", "wide"), [(100, 80), (5000, 80), (1 << 18, 4096)])
 def test_degrees_are_the_row_sums_of_the_graph(tile, wide, monkeypatch):
-    source, target = columns(match_problem(333, 0.6))
+    source, target = columns(match_problem(333, 0.6), torch.float32)
     expected = first_order(source, target, 0.2).sum(dim=1) + 1  # itself
     monkeypatch.setattr(module, "TILE_ELEMENTS", tile)
     monkeypatch.setattr(module, "_COLUMNS", wide)
@@ -27,12 +22,12 @@ def test_degrees_are_the_row_sums_of_the_graph(tile, wide, monkeypatch):
 
 
 def test_few_are_all_taken():
-    source, target = columns(match_problem(50, 0.5))
+    source, target = columns(match_problem(50, 0.5), torch.float32)
     assert torch.equal(choose_nodes(source, target, 0.2, 50), torch.arange(50))
 
 
 def test_chance_explains_the_degrees_of_wrong_matches():
-    source, target = columns(match_problem(3000, 1.0, seed=1))
+    source, target = columns(match_problem(3000, 1.0, seed=1), torch.float32)
     points = (source, target)
     excess = module._excess(points, points, degrees(source, target, 0.2), 0.2)
     assert abs(float(excess.mean())) < 0.4
@@ -45,7 +40,7 @@ def test_chance_explains_the_degrees_of_wrong_matches():
 @pytest.mark.parametrize("place", ["cube", "room"])
 def test_inliers_are_among_the_chosen(place):
     problem = match_problem(5000, 0.98, place=place, noise=0.05, seed=2)
-    chosen = choose_nodes(*columns(problem), 0.2, 500)
+    chosen = choose_nodes(*columns(problem, torch.float32), 0.2, 500)
     assert chosen.shape == (500,)
     assert (chosen.diff() > 0).all()
     assert problem.is_inlier[chosen].sum() > 0.9 * problem.is_inlier.sum()
@@ -53,7 +48,7 @@ def test_inliers_are_among_the_chosen(place):
 
 def test_the_order_of_the_matches_does_not_matter():
     problem = match_problem(3000, 0.97, noise=0.05)
-    source, target = columns(problem)
+    source, target = columns(problem, torch.float32)
     step = torch.randperm(3000, generator=torch.Generator().manual_seed(0))
     one = choose_nodes(source, target, 0.2, 400)
     other = step[choose_nodes(source[:, step].contiguous(), target[:, step].contiguous(), 0.2, 400)]
@@ -62,7 +57,7 @@ def test_the_order_of_the_matches_does_not_matter():
 
 
 def test_neither_threads_nor_tiles_change_the_choice(monkeypatch):
-    source, target = columns(match_problem(1500, 0.95))
+    source, target = columns(match_problem(1500, 0.95), torch.float32)
     expected = choose_nodes(source, target, 0.2, 300)
     for tile in (1 << 16, 1 << 20):
         monkeypatch.setattr(module, "TILE_ELEMENTS", tile)

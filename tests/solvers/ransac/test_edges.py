@@ -7,19 +7,13 @@ import torch
 from determinism import same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import correspondence_problem, random_rotation, random_transform
+from problems import columns, correspondence_problem, random_rotation, random_transform
 
 import torchreg as tr
 from torchreg.solvers import poses_of_pairs
 from torchreg.solvers.ransac import edges as module
 from torchreg.solvers.ransac.edges import DISSIMILAR, FITTING, SIMILAR, Edges, edge_marks, fitting_slack
 from torchreg.solvers.ransac.samples import sample_fits, solve_samples, spans_plane
-
-
-def columns(count, dtype=torch.float32):
-    problem = correspondence_problem(count, 0.7)
-    source = problem.source.points[problem.matches.source].t().to(dtype)
-    return source.contiguous(), problem.target.points[problem.matches.target].t().to(dtype).contiguous()
 
 
 def all_at_once(source, target, similarity, threshold, samples):
@@ -43,7 +37,7 @@ def all_at_once(source, target, similarity, threshold, samples):
 @pytest.mark.parametrize("per_sample", [0, 1 << 20])
 def test_samples_are_sifted_the_same_with_a_table_and_without(dtype, size, per_sample, monkeypatch):
     monkeypatch.setattr(module, "_EDGES_PER_SAMPLE", per_sample)
-    source, target = columns(120, dtype)
+    source, target = columns(correspondence_problem(120, 0.7), dtype)
     samples = torch.randint(120, (20_000, size), generator=torch.Generator().manual_seed(1))
     similar, fitting = Edges(source, target, 0.8, 0.2).sift(samples)
     count, expected = all_at_once(source, target, 0.8, 0.2, samples)
@@ -52,7 +46,7 @@ def test_samples_are_sifted_the_same_with_a_table_and_without(dtype, size, per_s
 
 
 def test_the_table_comes_once_it_pays():
-    edges = Edges(*columns(500), 0.9, 0.2)
+    edges = Edges(*columns(correspondence_problem(500, 0.7), torch.float32), 0.9, 0.2)
     samples = torch.randint(500, (8000, 3), generator=torch.Generator().manual_seed(2))
     sifted = []
     for _ in range(3):
@@ -63,7 +57,9 @@ def test_the_table_comes_once_it_pays():
 
 
 def test_no_sample_is_left_of_none():
-    similar, fitting = Edges(*columns(20), 0.9, 0.2).sift(torch.zeros(0, 3, dtype=torch.int64))
+    similar, fitting = Edges(*columns(correspondence_problem(20, 0.7), torch.float32), 0.9, 0.2).sift(
+        torch.zeros(0, 3, dtype=torch.int64)
+    )
     assert similar == 0
     assert fitting.shape == (0, 3)
 

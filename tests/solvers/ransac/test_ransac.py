@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
-from closeness import close
+from closeness import assert_rigid, close
 from determinism import assert_nothing_shows, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import Problem, correspondence_problem, matched, pack_problems
+from problems import MatchProblem, correspondence_problem, matched, pack_problems
 from refusals import refuses
 
 import torchreg as tr
@@ -26,11 +26,7 @@ def run(problem, options=None, seed=None):
 def without(problem, rows):
     """The problem with these matches alone."""
     matches = matched(problem.matches.source[rows], problem.matches.target[rows])
-    return replace_matches(problem, matches, problem.is_inlier[rows])
-
-
-def replace_matches(problem, matches, is_inlier):
-    return Problem(problem.source, problem.target, matches, problem.T_target_source, is_inlier)
+    return replace(problem, matches=matches, is_inlier=problem.is_inlier[rows])
 
 
 def assert_found(result, problem, degrees=0.5, meters=0.05):
@@ -39,13 +35,6 @@ def assert_found(result, problem, degrees=0.5, meters=0.05):
     assert float(tr.metrics.rre(problem.T_target_source, result.T_target_source)) < degrees
     # the truth's own error at the points, where a small turn about a far origin does not show
     assert float(tr.metrics.rmse(problem.T_target_source, result.T_target_source, problem.source.points)) < meters
-
-
-def assert_rigid(T):
-    R = T[:, :3, :3]
-    assert close(R.transpose(1, 2) @ R, EYE[:3, :3].expand_as(R), atol=1e-12)
-    assert close(torch.linalg.det(R), torch.ones(len(R), dtype=torch.float64), atol=1e-12)
-    assert torch.equal(T[:, 3], EYE[3].expand(len(T), 4))
 
 
 def assert_counts_agree(result, options):
@@ -61,7 +50,7 @@ def test_the_truth_is_found(outlier_ratio, dtype):
         problem = correspondence_problem(600, outlier_ratio, seed=seed, dtype=dtype)
         result = run(problem)
         assert_found(result, problem)
-        assert_rigid(result.T_target_source)
+        assert_rigid(result.T_target_source, atol=1e-12)
         assert (result.inliers | ~problem.is_inlier).all()  # noise of 1 cm, threshold of 20
         assert result.inliers.sum() <= 1.1 * problem.is_inlier.sum() + 3
 
@@ -184,7 +173,7 @@ def test_counts_and_rotations_hold_on_any_problem(seed, outlier_ratio, size, rou
     options = tr.RansacOptions(hypotheses=5000, sample_size=size, local_optimization=rounds)
     result = run(correspondence_problem(40, outlier_ratio, seed=seed, noise=0.1), options)
     assert_counts_agree(result, options)
-    assert_rigid(result.T_target_source)
+    assert_rigid(result.T_target_source, atol=1e-12)
 
 
 def test_a_mirrored_target_never_gives_a_reflection():
@@ -192,7 +181,7 @@ def test_a_mirrored_target_never_gives_a_reflection():
     mirror = torch.tensor([1.0, 1, -1], dtype=torch.float64)
     mirrored = tr.Clouds(points=problem.target.points * mirror)
     result = tr.ransac(problem.source, mirrored, problem.matches, FEW)
-    assert_rigid(result.T_target_source)
+    assert_rigid(result.T_target_source, atol=1e-12)
     assert result.inliers.float().mean() < 0.5
 
 
@@ -295,7 +284,7 @@ def test_swapped_clouds_give_about_the_inverse():
 
 
 def test_the_same_generator_state_gives_the_same_bits():
-    problem = correspondence_problem(60, 0.9, noise=0.05)  # so hard that the draws decide
+    problem = correspondence_problem(60, 0.8, noise=0.05)  # so hard that the draws decide
     options = tr.RansacOptions(hypotheses=500, local_optimization=0)
     assert same_bits(run(problem, options, seed=3), run(problem, options, seed=3))
     assert not same_bits(run(problem, options, seed=3), run(problem, options, seed=4))
@@ -325,9 +314,11 @@ def batch_of_problems():
     lost = correspondence_problem(40, 0.0, seed=9)
     lost.source.points[5] = float("nan")
     line = torch.arange(10.0, dtype=torch.float64)[:, None].repeat(1, 3)
-    flat = Problem(tr.Clouds(points=line), tr.Clouds(points=line), matched(*[torch.arange(10)] * 2), EYE[None], None)
+    flat = MatchProblem(
+        tr.Clouds(points=line), tr.Clouds(points=line), matched(*[torch.arange(10)] * 2), EYE[None], None
+    )
     bare = tr.Clouds(points=torch.zeros(0, 3, dtype=torch.float64))
-    none = Problem(bare, bare, matched(*[torch.zeros(0, dtype=torch.int64)] * 2), EYE[None], None)
+    none = MatchProblem(bare, bare, matched(*[torch.zeros(0, dtype=torch.int64)] * 2), EYE[None], None)
     single = without(correspondence_problem(5), slice(0, 1))
     return [made[0], lost, none, made[1], flat, single, made[2]]
 

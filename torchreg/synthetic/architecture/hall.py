@@ -12,7 +12,7 @@ import numpy as np
 
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.paint import muted, neutral, paint, plain_or_muted, vivid
-from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles, up
+from torchreg.synthetic.scene.quads import Quads, at_height, boxes, cylinders, rectangles, up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def floor(plan: HallPlan, rng: np.random.Generator) -> Quads:
     strip = paint(rng, dark, 0.8 * dark, count=2, pattern="tiles", scale=rng.uniform(0.3, 0.5))
     count = plan.bays // 2
     field = paint(rng, muted(rng, 2)[np.arange(count) % 2], pattern="tiles", scale=rng.uniform(0.2, 0.4))
-    field_at = _along((np.arange(count) - (count - 1) / 2) * 2 * plan.pitch, 0.004)
+    field_at = at_height((np.arange(count) - (count - 1) / 2) * 2 * plan.pitch, 0.0, 0.004)
     strip_at = [(0, -plan.column_y, 0.004), (0, plan.column_y, 0.004)]
     return Quads.join(
         [
@@ -128,8 +128,8 @@ def ceiling(plan: HallPlan, rng: np.random.Generator) -> Quads:
                 slats if wooden else panels,
             ),
             boxes(shaft_at, shaft, paint(rng, white, count=4)).placed(0, 0, top),
-            boxes(_along(bar_x, top + 0.6), (0.08, wide, 0.12), paint(rng, (0.45,) * 3, count=len(bar_x))),
-            boxes(_along(beam_x, top - 0.2), (0.35, plan.width, 0.42), paint(rng, white, count=len(beam_x))),
+            boxes(at_height(bar_x, 0.0, top + 0.6), (0.08, wide, 0.12), paint(rng, (0.45,) * 3, count=len(bar_x))),
+            boxes(at_height(beam_x, 0.0, top - 0.2), (0.35, plan.width, 0.42), paint(rng, white, count=len(beam_x))),
             boxes(lamps + up(0.05), (1.2, 0.3, 0.06), paint(rng, (1, 1, 1), count=len(lamps), glow=3.0)),
         ]
     )
@@ -169,8 +169,3 @@ def end_wall(plan: HallPlan, rng: np.random.Generator) -> Quads:
             boxes([(left, -0.03, tall / 2), (right, -0.03, tall / 2)], (1.2, 0.04, tall / 2), banner),
         ]
     )
-
-
-def _along(x: Array, z: float) -> Array:
-    """Places (N, 3) in a row along the middle of the hall."""
-    return np.stack((x, 0 * x, 0 * x + z), axis=1)

@@ -38,10 +38,14 @@ class _Front:
         return (np.arange(self.columns) - (self.columns - 1) / 2) * self.length / self.columns
 
     @property
+    def sills(self) -> Array:
+        """(floors,) the heights of the lower edges of the windows."""
+        return np.arange(self.floors) * self.floor + self.sill
+
+    @property
     def windows(self) -> Array:
         """(floors * columns, 3) the middles of the windows in the plane of the front, by floor from below."""
-        z = np.arange(self.floors) * self.floor + self.sill + self.window[1] / 2
-        return np.array([(x, 0, height) for height in z for x in self.x])
+        return np.array([(x, 0, height) for height in self.sills + self.window[1] / 2 for x in self.x])
 
 
 def house(rng: np.random.Generator, length: float, depth: float) -> Quads:
@@ -81,8 +85,7 @@ def _wall_paint(rng: np.random.Generator) -> Paint:
 
 def _wall(front: _Front, paint: Paint) -> Quads:
     """Bands under and over the windows, and the piers between them."""
-    (wide, tall), thick = front.window, _RECESS + 0.1
-    low = np.arange(front.floors) * front.floor + front.sill
+    (wide, tall), thick, low = front.window, _RECESS + 0.1, front.sills
     below, above = np.concatenate(([0.0], low + tall)), np.concatenate((low, [front.height]))
     bands = np.column_stack((0 * below, 0 * below + thick / 2, (below + above) / 2))
     band_size = np.column_stack((0 * below + front.length, 0 * below + thick, above - below))
@@ -172,7 +175,7 @@ def _body(front: _Front, depth: float, rng: np.random.Generator) -> Quads:
         (front.length - 0.02, depth - inside, front.height),
         paint(rng, color, 0.85 * color, pattern="panels", scale=2.0),
     )
-    z = np.arange(front.floors) * front.floor + front.sill + front.window[1] / 2
+    z = front.sills + front.window[1] / 2
     places = np.array([(s * front.length / 2, t * depth, height) for height in z for s in (-1, 1) for t in (0.3, 0.7)])
     dark = from_hsv(*rng.uniform((0.5, 0.1, 0.12), (0.65, 0.4, 0.35), (len(places), 3)).T)
     return Quads.join([box, boxes(places, (0.06, 1.1, front.window[1]), paint(rng, dark))])

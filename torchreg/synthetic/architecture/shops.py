@@ -1,7 +1,7 @@
 """One shop front and what is behind it: an open shop, a shutter, or a closed wall with posters.
 
-A bay is built about the middle of its front, on the floor, x along the front, y into the shop. What has a
-front of its own faces -y.
+A bay is built about the middle of its front, on the floor, x along the front, y into the shop. Pieces with
+a front face -y.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from torchreg.synthetic.architecture.hall import HallPlan
 from torchreg.synthetic.scene.paint import muted, neutral, paint, plain_or_muted, vivid, wares
-from torchreg.synthetic.scene.quads import Quads, boxes, rectangles
+from torchreg.synthetic.scene.quads import Quads, at_height, boxes, rectangles
 
 
 def bay(plan: HallPlan, rng: np.random.Generator) -> Quads:
@@ -155,5 +155,4 @@ def _closed(plan: HallPlan, rng: np.random.Generator) -> Quads:
     posters = paint(rng, vivid(rng, count), neutral(rng), pattern="poster", scale=0.25)
     color = plan.wall if rng.random() < 0.5 else muted(rng)
     wall = boxes((0, 0.2, plan.opening / 2), (plan.pitch - 0.3, 0.1, plan.opening), paint(rng, color))
-    place = np.stack((x, 0 * x + 0.13, 0 * x + 1.6), axis=1)
-    return Quads.join([wall, boxes(place, (0.84, 0.03, 1.19), posters)])
+    return Quads.join([wall, boxes(at_height(x, 0.13, 1.6), (0.84, 0.03, 1.19), posters)])

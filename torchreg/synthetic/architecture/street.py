@@ -14,7 +14,7 @@ import numpy as np
 from torchreg.synthetic.architecture.houses import house
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.paint import from_hsv, neutral, paint
-from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, rectangles
+from torchreg.synthetic.scene.quads import Quads, at_height, boxes, cylinders, rectangles
 
 SIDES = (-1, 1)
 LEVEL = 0.12  # meters, pavement and lawn above the road
@@ -85,7 +85,7 @@ def draw_plan(rng: np.random.Generator) -> StreetPlan:
 
 
 def ground(plan: StreetPlan, rng: np.random.Generator) -> Quads:
-    """Everything to walk and drive on."""
+    """The roadway, and a pavement and a lawn on either side."""
     parts = [_roadway(plan, rng), _markings(plan, rng), _covers(plan, rng)]
     for side in SIDES:
         parts += [_pavement(plan, side, rng), _lawn(plan, side, rng)]
@@ -129,9 +129,7 @@ def _roadway(plan: StreetPlan, rng: np.random.Generator) -> Quads:
             stone = _stone(rng)
             paving = paint(rng, stone, 0.85 * stone, pattern="tiles", scale=0.2)
             across = plan.kerb(side) - plan.width / 2
-            parts.append(
-                rectangles((0, side * plan.lane, 0.002), (plan.length, 0, 0), (0, across, 0), paving),
-            )
+            parts.append(rectangles((0, side * plan.lane, 0.002), (plan.length, 0, 0), (0, across, 0), paving))
     return Quads.join(parts)
 
 
@@ -142,13 +140,15 @@ def _markings(plan: StreetPlan, rng: np.random.Generator) -> Quads:
     x = x[np.abs(x - plan.crossing) > 4]
     stripe = np.arange(0.5 - plan.width / 2, plan.width / 2 - 0.2, 1.0)
     parts = [
-        rectangles(_flat(x, 0.0, height), (3, 0, 0), (0, 0.12, 0), paint(rng, white, count=len(x))),
-        rectangles(_flat(plan.crossing, stripe, height), (3, 0, 0), (0, 0.5, 0), paint(rng, white, count=len(stripe))),
+        rectangles(at_height(x, 0.0, height), (3, 0, 0), (0, 0.12, 0), paint(rng, white, count=len(x))),
+        rectangles(
+            at_height(plan.crossing, stripe, height), (3, 0, 0), (0, 0.5, 0), paint(rng, white, count=len(stripe))
+        ),
     ]
     for side in SIDES:
         if plan.parking[side > 0]:
             between = plan.slots - plan.slot / 2
-            place = _flat(between, side * plan.lane, height)
+            place = at_height(between, side * plan.lane, height)
             parts.append(rectangles(place, (0.1, 0, 0), (0, 2.0, 0), paint(rng, white, count=len(place))))
     return Quads.join(parts)
 
@@ -171,7 +171,7 @@ def _pavement(plan: StreetPlan, side: int, rng: np.random.Generator) -> Quads:
     middle = side * (kerb + (width + edge) / 2)
     return Quads.join(
         [
-            boxes(_flat(x, side * (kerb + edge / 2), LEVEL / 2), (0.99, edge, LEVEL), paint(rng, tones)),
+            boxes(at_height(x, side * (kerb + edge / 2), LEVEL / 2), (0.99, edge, LEVEL), paint(rng, tones)),
             rectangles((0, middle, LEVEL - 0.005), (plan.length, 0, 0), (0, width - edge, 0), slabs),
         ]
     )
@@ -198,9 +198,3 @@ def _stone(rng: np.random.Generator) -> Array:
     if rng.random() < 0.6:
         return neutral(rng, 0.42, 0.62)
     return from_hsv(rng.uniform(0.0, 0.11, 1), rng.uniform(0.2, 0.45, 1), rng.uniform(0.42, 0.62, 1))
-
-
-def _flat(x: Array | float, y: Array | float, z: float) -> Array:
-    """Places (N, 3) at one height."""
-    x, y = np.broadcast_arrays(x, y)
-    return np.stack((x, y, np.full(x.shape, z)), axis=-1)

@@ -94,7 +94,7 @@ def cartons(rng: np.random.Generator) -> Quads:
 
 
 def person(rng: np.random.Generator) -> Quads:
-    """Someone who stands there, made of rounded parts."""
+    """A standing person of rounded parts."""
     trousers = neutral(rng, 0.1, 0.5)
     shirt = neutral(rng, 0.2, 0.9) if rng.random() < 0.5 else vivid(rng)
     skin = from_hsv(np.array([0.07]), rng.uniform(0.3, 0.6, 1), rng.uniform(0.4, 0.9, 1))

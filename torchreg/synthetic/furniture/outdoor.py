@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from torchreg.synthetic.scene.paint import neutral, paint, vivid
-from torchreg.synthetic.scene.quads import Quads, boxes, cylinders, prism, up
+from torchreg.synthetic.scene.quads import Quads, at_height, boxes, cylinders, polygon, prism, up
 
 
 def lamp_post(rng: np.random.Generator, tall: float) -> Quads:
@@ -25,8 +25,7 @@ def traffic_sign(rng: np.random.Generator) -> Quads:
     """A triangle, a disk or a square on a post."""
     sides, edge = int(rng.choice([3, 4, 24])), rng.uniform(0.3, 0.38)
     turn = {3: 0.5, 4: 0.25, 24: 0.0}[sides] * np.pi
-    angle = turn + 2 * np.pi * np.arange(sides) / sides
-    shape = edge * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    shape = polygon(edge, sides, turn)
     plate, rim = paint(rng, (0.9, 0.9, 0.88)), paint(rng, vivid(rng))
     return Quads.join(
         [
@@ -49,17 +48,15 @@ def flag(rng: np.random.Generator) -> Quads:
 
 
 def bollards(rng: np.random.Generator, count: int = 5) -> Quads:
-    """A row along x."""
-    x = 1.3 * (np.arange(count) - (count - 1) / 2)
-    at = np.stack((x, 0 * x, 0 * x), axis=1)
+    """Posts in a row along x."""
+    at = at_height(1.3 * (np.arange(count) - (count - 1) / 2), 0.0, 0.0)
     dark, band = paint(rng, neutral(rng, 0.2, 0.5), count=count), paint(rng, vivid(rng), count=count)
     return Quads.join([cylinders(at, 0.07, 0.9, dark, sides=12), cylinders(at + up(0.65), 0.075, 0.12, band, sides=12)])
 
 
 def containers(rng: np.random.Generator) -> Quads:
     """Three bins for waste paper, glass and packaging."""
-    x, size = np.array([-1.3, 0.0, 1.3]), np.array([1.15, 0.95, 1.15])
-    at = np.stack((x, 0 * x, 0 * x), axis=1)
+    at, size = at_height([-1.3, 0.0, 1.3], 0.0, 0.0), np.array([1.15, 0.95, 1.15])
     color = np.array([(0.15, 0.3, 0.65), (0.15, 0.45, 0.25), (0.85, 0.7, 0.15)]) * rng.uniform(0.8, 1.1, (3, 1))
     lids = paint(rng, 0.7 * color)
     return Quads.join(
@@ -89,8 +86,7 @@ def shelter(rng: np.random.Generator) -> Quads:
 
 def bicycle_rack(rng: np.random.Generator) -> Quads:
     """Steel hoops in a row, a bicycle's frame and wheels leaning on most of them."""
-    parts, angle = [], 2 * np.pi * np.arange(20) / 20
-    wheel = 0.34 * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    parts, wheel = [], polygon(0.34, 20)
     for x in 0.75 * (np.arange(5) - 2):
         hoop = [(x, -0.35, 0.4), (x, 0.35, 0.4), (x, 0, 0.8)]
         steel = paint(rng, (0.6, 0.6, 0.62), count=3)

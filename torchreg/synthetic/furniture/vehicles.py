@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.paint import Paint, neutral, paint, vivid
-from torchreg.synthetic.scene.quads import Quads, boxes, prism
+from torchreg.synthetic.scene.quads import Quads, boxes, polygon, prism
 
 
 def car(rng: np.random.Generator) -> Quads:
@@ -49,16 +48,13 @@ def van(rng: np.random.Generator) -> Quads:
 
 def _lacquer(rng: np.random.Generator) -> Paint:
     """White, gray and black for most, a strong color for the others."""
-    kind = rng.random()
-    if kind < 0.62:
-        return paint(rng, neutral(rng, 0.12, 0.95))
-    return paint(rng, vivid(rng))
+    return paint(rng, neutral(rng, 0.12, 0.95) if rng.random() < 0.62 else vivid(rng))
 
 
 def _wheels(rng: np.random.Generator, x: tuple[float, float], wide: float, radius: float) -> Quads:
     """Tires with hubs, two on either side."""
     rubber, metal = paint(rng, (0.1, 0.1, 0.1)), paint(rng, (0.55, 0.55, 0.57))
-    tire, hub = prism(_ring(radius), 0.2, rubber), prism(_ring(0.55 * radius), 0.22, metal)
+    tire, hub = prism(polygon(radius), 0.2, rubber), prism(polygon(0.55 * radius), 0.22, metal)
     places = [(at, side * (wide / 2 - 0.08)) for at in x for side in (-1, 1)]
     return Quads.join([part.placed(*place, radius) for place in places for part in (tire, hub)])
 
@@ -71,9 +67,3 @@ def _ends(rng: np.random.Generator, half: float, wide: float, height: float) -> 
     color = [(0.85, 0.85, 0.8)] * 2 + [(0.65, 0.08, 0.08)] * 2 + [(0.9, 0.9, 0.85)] * 2
     size = [(0.06, 0.32, 0.14)] * 4 + [(0.05, 0.5, 0.12)] * 2
     return boxes(lamps + plates, size, paint(rng, color))
-
-
-def _ring(radius: float, sides: int = 16) -> Array:
-    """A regular polygon (sides, 2)."""
-    angle = 2 * np.pi * np.arange(sides) / sides
-    return radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)

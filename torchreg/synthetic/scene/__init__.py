@@ -1,4 +1,4 @@
-"""What every simulated place shares: painted quads, light, a scanner, and the order in which they come together."""
+"""Parts of every simulated place: painted quads, light, a laser scanner, and the simulation that combines them."""
 
 from __future__ import annotations
 

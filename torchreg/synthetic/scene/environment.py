@@ -1,6 +1,6 @@
 """A kind of simulated place, and how any such place is scanned twice.
 
-A plan is drawn from the seed; walls and ground follow from it, then two stations, then what stands around in either
+A plan is drawn from the seed; walls and ground follow from it, then two stations, then the loose pieces in either
 scan. Light and camera differ between the scans. Each of these stages draws from a stream of its own, so that an option
 of one stage changes nothing in another.
 """
@@ -21,7 +21,6 @@ from torchreg.synthetic.scene.light import Light, exposed_camera
 from torchreg.synthetic.scene.placing import Contents
 from torchreg.synthetic.scene.quads import Quads
 from torchreg.synthetic.scene.scanner import LaserScanner, pose, scan
-from torchreg.types.clouds import Clouds
 from torchreg.types.scan_pair import ScanPair
 
 Plan = TypeVar("Plan")
@@ -36,7 +35,7 @@ class Environment(Generic[Plan]):
         first_stream: number of its first random stream; no other environment's streams may have the same numbers.
         plan: draws the sizes of a place.
         fixtures: draw what both scans see alike, such as the ground or walls; one stream each.
-        contents: draw what stands around in the source scan and in the target scan, given ``T_world_scanner`` of both
+        contents: draw the loose pieces in the source scan and in the target scan, given ``T_world_scanner`` of both
             stations, beside which nothing may stand; one stream each.
         middle: lowest and highest place (3,) of the point halfway between the stations, meters.
         longest_baseline: meters.
@@ -68,19 +67,7 @@ def scan_twice(
     range_noise: float,
     relight: float,
 ) -> ScanPair:
-    """Simulate one place and scan it from two stations.
-
-    Args:
-        environment: the kind of place.
-        seed: which place of this kind; at least 0.
-        baseline: meters between the stations, at most ``environment.longest_baseline``.
-        angular_step: degrees between neighboring rays, in [0.05, 5].
-        range_noise: meters, standard deviation at 10 m on a surface that faces the scanner, in [0, 0.1].
-        relight: how much light and camera differ between the scans, in [0, 2].
-
-    Raises:
-        ValueError: an option out of its range.
-    """
+    """Simulate one place of a kind and scan it from two stations; options and errors are those of ``mall``."""
     at_least(seed, "seed", 0)
     _expect_within(baseline, "baseline", "meters", 0, environment.longest_baseline)
     _expect_within(angular_step, "angular_step", "degrees", 0.05, 5)
@@ -105,14 +92,7 @@ def scan_twice(
     clouds = []
     for k in range(2):
         quads = Quads.join([*fixtures, *(piece for part in contents for piece in part[k])])
-        scanned = scan(quads, lights[k], cameras[k], stations[k], scanner, seed=(*of_noise, k))
-        clouds.append(
-            Clouds(
-                points=torch.from_numpy(scanned.points.astype(np.float32)),
-                colors=torch.from_numpy(scanned.colors).to(torch.float32) / 255,
-                viewpoint=torch.zeros(1, 3),
-            )
-        )
+        clouds.append(scan(quads, lights[k], cameras[k], stations[k], scanner, seed=(*of_noise, k)))
     T_world_source, T_world_target = stations
     return ScanPair(
         source=clouds[0],

@@ -1,4 +1,4 @@
-"""Light on surfaces, and the camera that turns it into 8-bit colors.
+"""Light on surfaces, between a cloudy and a sunny day, and the camera that turns it into 8-bit colors.
 
 Irradiance is the sum of an even ambient part, of lamps, of a window to the sky in the ceiling, of the open sky and of
 the sun. Its unit is arbitrary: 1 is a well-lit floor.
@@ -59,13 +59,59 @@ class Camera:
 
 
 class LineOfSight(Protocol):
-    """Which places see each other."""
+    """Visibility between places of a scene."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
-        """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
+        """Whether nothing lies between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
 
-    def escapes(self, points: Array, way: Array) -> Array:
-        """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
+    def escapes(self, points: Array, direction: Array) -> Array:
+        """Whether nothing lies in the direction ``direction`` (3,) of the points (P, 3); (P,) bool."""
+
+
+def indoor_light(
+    lamps: Array, lamp_power: Array, sky_center: Array, sky_area: float, weather: float, rng: np.random.Generator
+) -> Light:
+    """Lamps, and daylight through a window in the ceiling.
+
+    On a sunny day the sun falls through the skylight, the sky sends more light, and the lamps are dimmed; on
+    a cloudy day the sky is weaker and bluer, and the lamps are up.
+
+    Args:
+        lamps: (M, 3) meters.
+        lamp_power: (M,) irradiance at one meter under each lamp on a day between sunny and cloudy.
+        sky_center: (3,) meters, the middle of the skylight.
+        sky_area: square meters of the skylight.
+        weather: 1 is a sunny day, -1 a cloudy one.
+        rng: draws the tint of each lamp and where the sun stands; the same draws whatever the weather.
+    """
+    tint = np.array([1.0, 0.92, 0.8]) * np.exp(0.06 * rng.standard_normal((len(lamps), 3)))
+    bright = max(0.0, 0.5 + 0.5 * weather)
+    blue = np.array([0.95 + 0.05 * weather, 1.0, 1.1 - 0.06 * weather])
+    return Light(
+        ambient=np.array([0.3, 0.29, 0.27]) + 0.1 * bright,
+        lamps=lamps,
+        lamp_power=lamp_power[:, None] * tint * 2 ** (-0.4 * weather),
+        sky_center=sky_center,
+        sky_power=0.22 * sky_area * 2 ** (0.5 * weather) * blue,
+        sun_direction=_sun_direction(50, 65, weather, rng),
+        sun=2.0 * bright * np.array([1.0, 0.95, 0.86]),
+    )
+
+
+def daylight(weather: float, rng: np.random.Generator) -> Light:
+    """Light in the open; arguments as for ``indoor_light``.
+
+    On a sunny day the sun casts sharp shadows, and a blue sky lights them; on a cloudy day all light comes from an
+    even gray sky.
+    """
+    bright = max(0.0, 0.5 + 0.5 * weather)
+    blue = np.array([0.9 - 0.14 * weather, 1.0, 1.14 + 0.16 * weather])
+    return Light(
+        ambient=(0.12 + 0.1 * bright) * np.array([1.0, 0.98, 0.9]),
+        sun_direction=_sun_direction(35, 60, weather, rng),
+        sun=2.2 * bright * np.array([1.0, 0.94, 0.84]),
+        dome=0.8 * 2 ** (-0.3 * weather) * blue,
+    )
 
 
 def irradiance(points: Array, normals: Array, light: Light, visibility: LineOfSight) -> Array:
@@ -105,7 +151,7 @@ def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.G
     """
     up = np.broadcast_to((0.0, 0.0, 1.0), probes.shape)
     sunless = replace(light, sun=np.zeros(3))
-    metered = irradiance(probes, up, sunless, _Unhindered()).mean(axis=0) + sunlit * light.sun  # (3,)
+    metered = irradiance(probes, up, sunless, _EmptyScene()).mean(axis=0) + sunlit * light.sun  # (3,)
     exposure, gamma = np.exp(relight * np.array([0.15, 0.06]) * rng.standard_normal(2))
     balance = (metered.mean() / metered) ** 0.7  # cameras leave some of the tint
     return Camera(
@@ -118,7 +164,7 @@ def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.G
 def develop(radiance: Array, camera: Camera, rng: np.random.Generator) -> Array:
     """The colors (P, 3) uint8 that a camera records of the radiance (P, 3)."""
     signal = camera.gain * camera.white_balance * radiance
-    signal = np.where(signal > 0.7, 0.7 + 0.3 * np.tanh((signal - 0.7) / 0.6), signal)  # bright parts bleach
+    signal = np.where(signal > 0.7, 0.7 + 0.3 * np.tanh((signal - 0.7) / 0.6), signal)  # bright parts saturate
     colors = np.clip(signal, 0, 1) ** (1 / camera.gamma)
     colors += camera.noise * rng.standard_normal(colors.shape)
     return np.asarray(np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8))
@@ -127,6 +173,14 @@ def develop(radiance: Array, camera: Camera, rng: np.random.Generator) -> Array:
 def linear(color: Array) -> Array:
     """Linear RGB of sRGB colors in [0, 1], by the plain power law."""
     return np.asarray(color**DISPLAY_GAMMA)
+
+
+def _sun_direction(low: float, high: float, weather: float, rng: np.random.Generator) -> Array:
+    """The unit vector (3,) to the sun, which stands between ``low`` and ``high`` degrees above the horizon."""
+    azimuth = rng.uniform(0, 2 * np.pi) + 0.4 * weather
+    elevation = np.deg2rad(rng.uniform(low, high) + 5 * weather)
+    flat = np.cos(elevation)
+    return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
 
 
 def _add_lamps(total: Array, points: Array, normals: Array, light: Light, visibility: LineOfSight) -> None:
@@ -146,20 +200,20 @@ def _from_above(points: Array, normals: Array, position: Array) -> Array:
 
     A panel has a size, so that nothing near it is infinitely bright.
     """
-    way = position - points
-    square = np.einsum("pi,pi->p", way, way)
-    facing, sent = np.clip(np.einsum("pi,pi->p", way, normals), 0, None), np.clip(way[:, 2], 0, None)
+    offset = position - points
+    square = np.einsum("pi,pi->p", offset, offset)
+    facing, sent = np.clip(np.einsum("pi,pi->p", offset, normals), 0, None), np.clip(offset[:, 2], 0, None)
     return np.asarray(facing * sent / (square * (square + 0.3)))
 
 
 def _open_sky(points: Array, normals: Array, visibility: LineOfSight) -> Array:
     """The part of an even sky's light that reaches surfaces, (P,); 1 on level ground in the open."""
     total = np.zeros(len(points))
-    for way in _SKY_WAYS:
-        facing = normals @ way
+    for direction in _SKY_DIRECTIONS:
+        facing = normals @ direction
         rows = np.flatnonzero(facing > 0)
-        total[rows] += facing[rows] * visibility.escapes(points[rows], way)
-    return np.asarray(total / _SKY_WAYS[:, 2].sum())
+        total[rows] += facing[rows] * visibility.escapes(points[rows], direction)
+    return np.asarray(total / _SKY_DIRECTIONS[:, 2].sum())
 
 
 def _spread_over_sky(count: int) -> Array:
@@ -170,14 +224,14 @@ def _spread_over_sky(count: int) -> Array:
     return np.stack((flat * np.cos(around), flat * np.sin(around), height), axis=1)
 
 
-class _Unhindered:
-    """LineOfSight where nothing stands in the way."""
+class _EmptyScene:
+    """LineOfSight of an empty scene."""
 
     def reaches(self, points: Array, goals: Array) -> Array:
         return np.ones(len(points), dtype=bool)
 
-    def escapes(self, points: Array, way: Array) -> Array:
+    def escapes(self, points: Array, direction: Array) -> Array:
         return np.ones(len(points), dtype=bool)
 
 
-_SKY_WAYS = _spread_over_sky(14)
+_SKY_DIRECTIONS = _spread_over_sky(14)

@@ -1,4 +1,4 @@
-"""What surfaces look like: random colors, in patterns laid over the texture coordinates of each quad.
+"""Looks of surfaces: random colors, in patterns over the texture coordinates of each quad.
 
 Colors are those of buildings and their contents: many grays and beiges, some muted tones, few strong ones. Texture
 coordinates are meters on the surface, (0, 0) in the middle of a quad. A pattern needs no image: the color of each of
@@ -147,7 +147,7 @@ def _cell(x: Array, size: Array | float) -> Array:
 
 
 def _hash(i: Array, j: Array, key: Array) -> Array:
-    """Numbers in [0, 1) that look random, (P,), from a cell's two indices and a key."""
+    """Pseudo-random numbers (P,) in [0, 1) from a cell's two indices and a key."""
     word = (i * 0x9E3779B1 ^ j * 0x85EBCA77 ^ key * 0xC2B2AE3D).astype(np.uint32)
     word = (word ^ word >> 15) * np.uint32(0x2C1B3C6D)
     word = (word ^ word >> 12) * np.uint32(0x297A2D39)

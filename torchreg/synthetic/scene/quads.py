@@ -136,6 +136,18 @@ def prism(profile: npt.ArrayLike, width: float, paint: Paint) -> Quads:
     return Quads(corners, uv, paint.take(np.zeros(len(corners), dtype=np.int64)))
 
 
+def polygon(radius: float, sides: int = 16, turn: float = 0.0) -> Array:
+    """A regular polygon (sides, 2) about the origin; ``turn`` is the angle of its first corner, radians."""
+    angle = turn + 2 * np.pi * np.arange(sides) / sides
+    return radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+
+
+def at_height(x: npt.ArrayLike, y: npt.ArrayLike, z: float) -> Array:
+    """Places (N, 3) at one height; ``x`` and ``y`` are (N,) or one number."""
+    x, y = np.broadcast_arrays(x, y)
+    return np.stack((x, y, np.full(x.shape, z)), axis=-1)
+
+
 def up(height: float) -> Array:
     """The vector (3,) of this many meters upwards."""
     return np.array([0.0, 0.0, height])

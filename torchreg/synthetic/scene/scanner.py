@@ -11,17 +11,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
 from torchreg.open3d_loader import load_open3d
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.light import Camera, Light, develop, irradiance, linear
 from torchreg.synthetic.scene.paint import albedo
 from torchreg.synthetic.scene.quads import Quads, yaw_rotation
+from torchreg.types.clouds import Clouds
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaserScanner:
-    """Abilities of a scanner.
+    """Properties of a scanner.
 
     Attributes:
         angular_step: degrees between neighboring rays, in azimuth and in elevation.
@@ -44,19 +46,6 @@ class LaserScanner:
     depth_edge: float = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """``P`` returned points, by elevation from below and then by azimuth.
-
-    Attributes:
-        points: (P, 3) float64, meters, in the scanner's frame.
-        colors: (P, 3) uint8.
-    """
-
-    points: Array
-    colors: Array
-
-
 def scan(
     quads: Quads,
     light: Light,
@@ -64,7 +53,7 @@ def scan(
     T_world_scanner: Array,
     scanner: LaserScanner,
     seed: tuple[int, ...],
-) -> Scan:
+) -> Clouds:
     """Scan a scene from one station.
 
     Args:
@@ -72,27 +61,28 @@ def scan(
         light: the light of the scene.
         camera: the scanner's camera.
         T_world_scanner: (4, 4) float64, the pose of the scanner.
-        scanner: its abilities.
+        scanner: its properties.
         seed: of all noise; how large the noise is does not change which draws are made.
 
     Returns:
-        The points that came back.
+        One cloud of the points that came back, by elevation from below and then by azimuth: float32, meters, in the
+        frame of the scanner, with colors in steps of 1/255.
     """
     rng = np.random.default_rng(seed)
     caster = Raycaster(quads)
-    directions = ray_directions(scanner)  # (E, A, 3)
-    grid = directions.shape[:2]
-    rays = directions.reshape(-1, 3)
-    ways = rays @ T_world_scanner[:3, :3].T
+    rays = ray_directions(scanner)  # (E, A, 3)
+    grid = rays.shape[:2]
+    rays = rays.reshape(-1, 3)
+    directions = rays @ T_world_scanner[:3, :3].T
     station = T_world_scanner[:3, 3]
-    reach, quad, uv, normals = caster.cast(station, ways)
+    reach, quad, uv, normals = caster.cast(station, directions)
     hit = np.isfinite(reach)
     reach = np.where(hit, reach, 0.0)
 
-    cosine = -(normals * ways).sum(axis=1)
+    cosine = -(normals * directions).sum(axis=1)
     normals = np.where(cosine[:, None] < 0, -normals, normals)
     cosine = np.abs(cosine)
-    places = station + reach[:, None] * ways + 2e-3 * normals
+    places = station + reach[:, None] * directions + 2e-3 * normals
     paint = quads.paint.take(quad)
     surface = linear(albedo(paint, uv))
     radiance = surface * (irradiance(places, normals, light, caster) + paint.glow[:, None])
@@ -104,7 +94,12 @@ def scan(
     deviation = scanner.range_noise * (0.4 + 0.06 * reach) * slant
     ranges = ranges + deviation * rng.standard_normal(len(ranges))
     colors = develop(radiance, camera, rng)
-    return Scan(ranges[came_back, None] * rays[came_back], colors[came_back])
+    points = ranges[came_back, None] * rays[came_back]
+    return Clouds(
+        points=torch.from_numpy(points.astype(np.float32)),
+        colors=torch.from_numpy(colors[came_back]).to(torch.float32) / 255,
+        viewpoint=torch.zeros(1, 3),
+    )
 
 
 def ray_directions(scanner: LaserScanner) -> Array:
@@ -148,31 +143,31 @@ class Raycaster:
         triangles = np.ascontiguousarray(triangles, dtype=np.uint32)
         self._scene.add_triangles(self._core.Tensor(corners), self._core.Tensor(triangles))
 
-    def cast(self, origin: Array, ways: Array) -> tuple[Array, Array, Array, Array]:
+    def cast(self, origin: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
         """Ranges (P,), inf for a miss; quad hit (P,); texture coordinates (P, 2); unit normals (P, 3)."""
-        answer = self._scene.cast_rays(self._rays(origin, ways))
-        reach = answer["t_hit"].numpy().astype(np.float64)
-        triangle = np.where(np.isfinite(reach), answer["primitive_ids"].numpy(), 0).astype(np.int64)
+        hits = self._scene.cast_rays(self._rays(origin, directions))
+        reach = hits["t_hit"].numpy().astype(np.float64)
+        triangle = np.where(np.isfinite(reach), hits["primitive_ids"].numpy(), 0).astype(np.int64)
         quad = triangle // 2
-        b, c = answer["primitive_uvs"].numpy().astype(np.float64).T[:, :, None]
+        b, c = hits["primitive_uvs"].numpy().astype(np.float64).T[:, :, None]
         second = (triangle % 2)[:, None] == 1
         corner = self._uv[quad]  # (P, 4, 2)
         middle, last = (np.where(second, corner[:, k + 1], corner[:, k]) for k in (1, 2))
         uv = (1 - b - c) * corner[:, 0] + b * middle + c * last
-        return reach, quad, uv, answer["primitive_normals"].numpy().astype(np.float64)
+        return reach, quad, uv, hits["primitive_normals"].numpy().astype(np.float64)
 
     def reaches(self, points: Array, goals: Array) -> Array:
-        """Whether nothing stands between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
+        """Whether nothing lies between the points (P, 3) and their goals, (3,) or (P, 3); (P,) bool."""
         occluded = self._scene.test_occlusions(self._rays(points, goals - points), tnear=0.0, tfar=0.98)
         return ~np.asarray(occluded.numpy())
 
-    def escapes(self, points: Array, way: Array) -> Array:
-        """Whether nothing stands in the direction ``way`` (3,) of the points (P, 3); (P,) bool."""
-        return ~np.asarray(self._scene.test_occlusions(self._rays(points, way)).numpy())
+    def escapes(self, points: Array, direction: Array) -> Array:
+        """Whether nothing lies in the direction ``direction`` (3,) of the points (P, 3); (P,) bool."""
+        return ~np.asarray(self._scene.test_occlusions(self._rays(points, direction)).numpy())
 
-    def _rays(self, origins: Array, ways: Array) -> Any:  # noqa: ANN401  # an Open3D tensor
-        shape = np.broadcast_shapes(origins.shape, ways.shape)
-        rays = np.concatenate((np.broadcast_to(origins, shape), np.broadcast_to(ways, shape)), axis=1)
+    def _rays(self, origins: Array, directions: Array) -> Any:  # noqa: ANN401  # an Open3D tensor
+        shape = np.broadcast_shapes(origins.shape, directions.shape)
+        rays = np.concatenate((np.broadcast_to(origins, shape), np.broadcast_to(directions, shape)), axis=1)
         return self._core.Tensor(np.ascontiguousarray(rays, dtype=np.float32))
 
 
