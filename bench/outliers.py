@@ -26,6 +26,7 @@ from torchreg.benchmark.peers import METHODS, NOT_HERE
 from torchreg.datasets import MatchProblem, match_problem
 from torchreg.geometry.se3 import rigid
 from torchreg.open3d_loader import load_open3d
+from torchreg.solvers import SOLVERS, solve
 
 RATIOS = (0.5, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995)
 COUNTS = (2000, 20_000)
@@ -37,25 +38,26 @@ SECONDS = {2000: 4.0, 20_000: 3.0}
 LEAST = {"torchreg compatibility": 4}
 """Problems that are run in any case; two for other solvers."""
 
-COLORS = {
-    "torchreg compatibility": "#0b6e4f",
-    "torchreg RANSAC": "#3d9be9",
-    "Open3D RANSAC": "#8a8a8a",
-    "KISS-Matcher": "#d1603d",
+LOOKS = {
+    "torchreg compatibility": ("#0b6e4f", "o"),
+    "torchreg ransac": ("#3d9be9", "s"),
+    "Open3D RANSAC": ("#8a8a8a", "^"),
+    "KISS-Matcher": ("#d1603d", "D"),
 }
-MARKS = {"torchreg compatibility": "o", "torchreg RANSAC": "s", "Open3D RANSAC": "^", "KISS-Matcher": "D"}
+"""Color and marker; other solvers are black crosses."""
 
 Solver = Callable[[MatchProblem], Tensor]
 
 
-def torchreg_ransac(problem: MatchProblem) -> Tensor:
-    options = tr.RansacOptions(inlier_threshold=THRESHOLD)
-    return tr.ransac(problem.source, problem.target, problem.matches, options).T_target_source
+def by_record(record: type[tr.Solver]) -> Solver:
+    """A solver of the library, at its defaults."""
 
+    def run(problem: MatchProblem) -> Tensor:
+        return solve(
+            problem.source, problem.target, problem.matches, record(inlier_threshold=THRESHOLD)
+        ).T_target_source
 
-def torchreg_compatibility(problem: MatchProblem) -> Tensor:
-    options = tr.CompatibilityOptions(inlier_threshold=THRESHOLD)
-    return tr.compatibility(problem.source, problem.target, problem.matches, options).T_target_source
+    return run
 
 
 def open3d_ransac(problem: MatchProblem) -> Tensor:
@@ -97,8 +99,7 @@ def matched_points(problem: MatchProblem) -> tuple[Tensor, Tensor]:
 def solvers() -> tuple[dict[str, Solver], dict[str, str]]:
     """Solvers by name, and why others are left out."""
     by_name: dict[str, Solver] = {
-        "torchreg compatibility": torchreg_compatibility,
-        "torchreg RANSAC": torchreg_ransac,
+        **{f"torchreg {name}": by_record(record) for name, record in reversed(SOLVERS.items())},
         "Open3D RANSAC": open3d_ransac,
     }
     left_out = {"TEASER++": NOT_HERE["TEASER++"].removesuffix(".")}
@@ -115,11 +116,11 @@ def measure(count: int, ratio: float, by_name: dict[str, Solver]) -> dict[str, d
     measured: dict[str, dict[str, Any]] = {name: {"solved": [], "seconds": []} for name in by_name}
     for seed in range(MOST):
         problem = match_problem(count, ratio, place="room", noise=THRESHOLD / 3, seed=seed)
-        for name, solve in by_name.items():
+        for name, run in by_name.items():
             if seed >= LEAST.get(name, 2) and sum(measured[name]["seconds"]) > SECONDS[count]:
                 continue
             begin = time.perf_counter()
-            T = solve(problem)
+            T = run(problem)
             measured[name]["seconds"].append(time.perf_counter() - begin)
             error = float(tr.metrics.rmse(problem.T_target_source, T, problem.source.points))
             measured[name]["solved"].append(error < THRESHOLD)
@@ -146,12 +147,13 @@ def draw(cells: list[dict[str, Any]], path: Path) -> None:
     figure, axes = plt.subplots(2, len(counts), figsize=(10, 6.2), sharex=True, sharey="row", layout="constrained")
     for column, count in enumerate(counts):
         above, below = axes[:, column]
-        for name, color in reversed(COLORS.items()):  # the first drawn last, on top
+        for name in reversed(list(dict.fromkeys(cell["solver"] for cell in cells))):  # the first drawn last, on top
+            color, marker = LOOKS.get(name, ("black", "x"))
             of_solver = [cell for cell in cells if cell["matches"] == count and cell["solver"] == name]
             if not of_solver:
                 continue
             x = [1 - cell["outlier_ratio"] for cell in of_solver]
-            style = {"color": color, "marker": MARKS[name], "linewidth": 2, "markersize": 6, "clip_on": False}
+            style = {"color": color, "marker": marker, "linewidth": 2, "markersize": 6, "clip_on": False}
             above.plot(x, [100 * cell["solved"] / cell["problems"] for cell in of_solver], label=name, **style)
             below.plot(x, [cell["seconds_median"] for cell in of_solver], **style)
         above.set_title(f"{count:,} matches", fontweight="bold")
@@ -180,8 +182,8 @@ def main() -> None:
     arguments = bench_parser(__doc__).parse_args()
     by_name, left_out = solvers()
     warm_up = match_problem(500, 0.5)
-    for solve in by_name.values():
-        solve(warm_up)
+    for run in by_name.values():
+        run(warm_up)
     cells = []
     for count in COUNTS:
         for ratio in RATIOS:

@@ -139,3 +139,13 @@ def test_bad_arguments_are_refused():
         tr.nn.Register(OPTIONS)(ROOM.source, tr.Clouds.pack([ROOM.target, ROOM.target]))
     with pytest.raises(ValueError, match="cloud: expected colors"):
         tr.nn.Register(OPTIONS)(replace(ROOM.source, colors=None), ROOM.target)
+
+
+def test_every_module_has_the_support_of_its_own_record():
+    pair = room_pair(300)
+    two = tr.RegistrationOptions(normal_radius=0.6, descriptors=(tr.Fpfh(radius=1.0), tr.Fpfh(radius=2.0)))
+    values = tr.nn.Register(two)(pair.source, pair.target).source_features.values
+    for block, radius in ((values[:, :33], 1.0), (values[:, 33:], 2.0)):
+        one = tr.RegistrationOptions(normal_radius=0.6, descriptors=(tr.Fpfh(radius=radius),))
+        alone = tr.nn.Register(one)(pair.source, pair.target).source_features.values
+        assert torch.allclose(block, alone)
