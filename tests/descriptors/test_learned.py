@@ -45,7 +45,7 @@ def test_a_radius_a_point_is_that_radius():
     scan = room_pair(300).source
     near = tr.neighbors(scan, RADIUS, 40)
     cloud = tr.estimate_normals(scan, near)
-    each = torch.full((300,), RADIUS, dtype=torch.float64)
+    each = torch.full((len(scan.points),), RADIUS, dtype=torch.float64)
     one, other = (Learned(radius=RADIUS).describe(cloud, replace(near, radius=radius)) for radius in (each, RADIUS))
     assert close(one.values, other.values, atol=1e-3)
 
