@@ -47,11 +47,19 @@ def test_code_compiles_and_files_that_are_named_exist(page):
         assert (ROOT / script).exists(), script
 
 
+def test_the_readmes_options_are_what_they_say():
+    names = {}
+    exec(code(ROOT / "README.md")[1], names)
+    options = names["options"]
+    assert [record.name for record in options.descriptors] == ["fpfh", "contrast"]
+    assert (options.effort, options.solver.name, options.inlier_threshold) == ("balanced", "ransac", 0.075)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", [0, 2])
 def test_the_readmes_code_runs_as_it_stands(number, capsys):
     blocks = code(ROOT / "README.md")
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     names = {}
     exec(blocks[number], names)
     assert bool(names["result"].success[0])

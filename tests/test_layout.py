@@ -10,6 +10,8 @@ import grimp
 import pytest
 
 import torchreg as tr
+from torchreg.descriptors import DESCRIPTORS
+from torchreg.solvers import SOLVERS
 
 ROOT = Path(tr.__file__).parent
 MODULES = sorted(
@@ -51,12 +53,12 @@ def test_no_package_bears_the_name_of_a_public_function(name):
 
 def test_from_register_to_a_kernel_it_is_three_files():
     graph = grimp.build_graph("torchreg")
-    stages = {f"torchreg.registration.{name}" for name in ("describe", "candidates")}
-    assert stages <= graph.find_modules_directly_imported_by("torchreg.registration.register")
-    reached = {module for stage in stages for module in graph.find_modules_directly_imported_by(stage)}
-    for kernel in ("preprocess.downsample", "neighborhoods.search", "preprocess.normals", "descriptors.fuse"):
-        assert f"torchreg.{kernel}" in reached, kernel
-    for kernel in ("matching.mutual", "solvers.batch", "verification.verify"):
-        assert f"torchreg.{kernel}" in reached, kernel
-    for record in (tr.Fpfh, tr.Pcfh, tr.Contrast, tr.RansacOptions, tr.CompatibilityOptions):  # which stages call
-        assert record.__module__.startswith(("torchreg.descriptors.", "torchreg.solvers."))
+    first = graph.find_modules_directly_imported_by("torchreg.registration.register")
+    second = {module for stage in first for module in graph.find_modules_directly_imported_by(stage)}
+    records = {kind.__module__ for kind in (*DESCRIPTORS.values(), *SOLVERS.values())}  # which stages call
+    kernels = ("preprocess.downsample", "neighborhoods.search", "preprocess.normals", "descriptors.fuse")
+    more = ("matching.nearest", "verification.evidence", "verification.agreement", "solvers.poses", "refinement.icp")
+    for kernel in (*kernels, *more):
+        assert f"torchreg.{kernel}" in first | second, kernel
+    assert {"torchreg.registration.describe", "torchreg.solvers.batch"} <= first
+    assert all(module.startswith(("torchreg.descriptors.", "torchreg.solvers.")) for module in records)

@@ -71,3 +71,9 @@ def test_3dmatch(run, tmp_path):
     assert run(*words, "--seed", "1").exit_code == 2
     assert run(*words, "--log", "no.log").exit_code == 2
     assert run("bench", "3dmatch", tmp_path / "nowhere", "--out", out).exit_code == 2
+
+
+@pytest.mark.parametrize("name", ["field", "3dmatch"])
+def test_the_help_names_every_method(run, name):
+    shown = " ".join(run("bench", name, "--help").stdout.replace("│", " ").split())
+    assert all(method in shown for method in METHODS)

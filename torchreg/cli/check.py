@@ -16,6 +16,7 @@ from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
 from torchreg.cli.pair import PairArguments, options_of_pair, read_pair
 from torchreg.cli.progress import step
+from torchreg.metrics import rre
 from torchreg.reference.comparison import Comparison
 from torchreg.reference.descriptors import DescriptorDifference
 from torchreg.settings import StageSettings
@@ -47,6 +48,7 @@ def check(
 ) -> None:
     """Register SOURCE to TARGET with torchreg and with Open3D, and compare their stages, lengths in meters.
 
+    Both run the same plain procedure, RANSAC on mutual matches; torchreg register does more by default.
     FPFH are compared row by row with the same normals and neighborhoods; a row is tied where rounding decides a
     vote in it. Exit code 0: all rows that are not tied agree, and torchreg registered the pair. 2: bad usage or an
     unreadable file. 3: rows differ, or the registration failed.
@@ -94,7 +96,7 @@ def _report(comparison: Comparison, words: tuple[str, str]) -> Group:
 
 
 def _side_by_side(comparison: Comparison) -> Table:
-    table = Table("", "torchreg", "Open3D", box=None, header_style="bold", pad_edge=False)
+    table = Table("", "torchreg, plain RANSAC", "Open3D", box=None, header_style="bold", pad_edge=False)
     sides = (comparison.torchreg, comparison.open3d)
     table.add_row("registered", *(Text("yes" if side.success else f"no: {side.reason}") for side in sides))
     table.add_row("matches", *(f"{side.matches:,} ({comparison.shared_matches:,} shared)" for side in sides))
@@ -140,7 +142,11 @@ def _verdict(comparison: Comparison) -> str:
         rows = sum(one.off_without_tie for one in comparison.descriptors)
         verdict = f"FPFH differ in {rows:,} rows without a tie"
     registered = "registered" if comparison.torchreg.success else f"not registered: {comparison.torchreg.reason}"
-    return f"{verdict}; torchreg {registered}"
+    sides = (comparison.torchreg, comparison.open3d)
+    if not all(side.success for side in sides):
+        return f"{verdict}; torchreg {registered}"
+    apart = float(rre(*(side.T_target_source[None] for side in sides)))
+    return f"{verdict}; torchreg {registered}, its pose turned by {apart:.3g} degrees against Open3D's"
 
 
 def _number(value: float | None) -> str:

@@ -14,9 +14,9 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference import stages
 from torchreg.reference.legacy import feature, point_cloud, rows
-from torchreg.registration.candidates import fused, recipes_of
 from torchreg.registration.describe import describe_thin, description_of
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.recipes import fused, recipes_of
 from torchreg.registration.stopwatch import stage
 from torchreg.solvers import RansacOptions
 from torchreg.solvers.batch import too_few_matches
@@ -83,7 +83,7 @@ def _by_torchreg(source: Clouds, target: Clouds, options: RegistrationOptions) -
     colored = source.colors is not None and target.colors is not None
     bare = [replace(cloud, normals=None, colors=cloud.colors if colored else None) for cloud in (source, target)]
     description = description_of(options, colored=colored)
-    sides = describe_thin(Clouds.pack(bare), [description, description], max_bytes=1 << 28).unpack()
+    sides = describe_thin(Clouds.pack(bare), [description, description], 1 << 28).unpack()
     recipe = recipes_of(options, colored=colored)[0]
     return fused(sides[0], recipe, options), fused(sides[1], recipe, options)
 

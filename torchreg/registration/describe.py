@@ -83,10 +83,10 @@ def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_byte
         for one, description in zip(facts, descriptions, strict=True)
     ]
     thin = downsample(set_aside(clouds.detach(), defects), [description.voxel_size for description in descriptions])
-    return replace(describe_thin(thin, descriptions, max_bytes=max_bytes), facts=facts)
+    return replace(describe_thin(thin, descriptions, max_bytes), facts=facts)
 
 
-def describe_thin(thin: Clouds, descriptions: Sequence[Description], *, max_bytes: int) -> DescribedClouds:
+def describe_thin(thin: Clouds, descriptions: Sequence[Description], max_bytes: int) -> DescribedClouds:
     """Describe clouds that are downsampled already; the rest as ``describe_by``.
 
     Where a descriptor is pairwise, clouds 2 i and 2 i + 1 are those of one pair.

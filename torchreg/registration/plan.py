@@ -7,7 +7,7 @@ is dropped after the last.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from torchreg.errors import at_least, expect, expect_device
 from torchreg.geometry.numerics.partition import partition
 from torchreg.refinement.pairing import numbered
-from torchreg.registration.describe import describe_thin, description_of, downsample, expect_alike
+from torchreg.registration.describe import description_of, downsample, expect_alike
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, refusal, set_aside
 from torchreg.registration.options import RegistrationOptions
@@ -35,6 +35,10 @@ SHARE = 0.25
 _POINT_BYTES = 2000  # of a described point: itself, its descriptors, their copies in the slice and in its features
 _PAIR_BYTES = 1 << 20  # of a pair whatever its size: hypotheses and candidates
 _NOTHING = -1  # the number of a cloud without points, which takes the place of those of refused pairs
+
+
+Describe = Callable[[Clouds, Sequence[Description], int], DescribedClouds]
+"""Describes thinned clouds, each by its description, with so many bytes for neighborhoods: ``describe_thin``."""
 
 
 class _Job(NamedTuple):
@@ -92,13 +96,16 @@ class Plan:
         sizes = [sum(len(self._thin[job].points) for job in pair) for pair in self._pairs]
         self.slices = partition([pair_bytes(size, self.options[0]) for size in sizes], self._budget)
 
-    def described(self, rows: slice) -> tuple[DescribedClouds, DescribedClouds]:
-        """Describe both sides of the pairs of a slice, slice after slice; what no later pair needs is dropped."""
+    def sides(self, rows: slice, describe: Describe) -> tuple[DescribedClouds, DescribedClouds]:
+        """Both sides of the pairs of a slice, slice after slice: what no earlier slice had is described now.
+
+        What no later pair needs is dropped.
+        """
         pairs = self._pairs[rows]
         new = [job for job in dict.fromkeys(job for pair in pairs for job in pair) if job not in self._described]
         if new:
             thin = Clouds.pack([self._thin[job] for job in new])
-            described = describe_thin(thin, [self._jobs[job].description for job in new], max_bytes=self._budget)
+            described = describe(thin, [self._jobs[job].description for job in new], self._budget)
             self._described.update(zip(new, described.unpack(), strict=True))
         sides = [
             replace(

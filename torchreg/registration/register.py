@@ -1,8 +1,8 @@
 """The whole pipeline: two batches of clouds in, their transforms out.
 
-downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (registration/describe.py)
--> fuse -> match_mutual -> solve                             once per set of features (registration/candidates.py)
--> weigh, refine by ICP, judge                               the poses of all sets together (``decide`` there)
+downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (``describe_thin``)
+-> fuse -> match_mutual -> solve                             once per set of features (``recipes_of``)
+-> weigh, refine by ICP, judge                               the poses of all sets together (``verify``)
 """
 
 from __future__ import annotations
@@ -10,17 +10,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
+import torch
+
 from torchreg.errors import expect
-from torchreg.registration.candidates import decide, match, recipes_of, solve
-from torchreg.registration.describe import description_of, expect_alike
+from torchreg.matching.mutual import match_mutual
+from torchreg.registration.describe import describe_thin, description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import pair_notes, refusal
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
-from torchreg.registration.stopwatch import stopwatch
-from torchreg.solvers import Solver
-from torchreg.types import Clouds, RegistrationResult, StageCounts
-from torchreg.verification import ProposedPoses, proposals_of
+from torchreg.registration.recipes import Recipe, fused, recipes_of
+from torchreg.registration.stopwatch import stage, stopwatch
+from torchreg.solvers import Solver, base_seed, result_of_poses
+from torchreg.solvers.batch import poses_of_pairs
+from torchreg.types import Clouds, Correspondences, RegistrationResult, StageCounts
+from torchreg.verification import WORK, PairLengths, ProposedPoses, proposals_of
+from torchreg.verification.verify import verify
 
 
 def register(
@@ -72,10 +77,10 @@ def register(
     """
     with stopwatch() as seconds:
         plan = Plan(source, target, options, effort=effort, solver=solver, max_bytes=max_bytes)
-        results = [
-            _find_poses(*plan.described(pairs), plan.options[pairs], colored=plan.colored, seed=seed)
-            for pairs in plan.slices
-        ]
+        results = []
+        for pairs in plan.slices:
+            described = plan.sides(pairs, describe_thin)
+            results.append(_find_poses(*described, plan.options[pairs], colored=plan.colored, seed=seed))
     return joined(results, seconds=seconds)
 
 
@@ -127,9 +132,9 @@ def _find_poses(
     source, target = source.without(refused), target.without(refused)
     proposed = []
     for recipe in recipes_of(options[0], colored=colored):
-        matches = match(source, target, recipe, options[0])
-        proposed.append(solve(source, target, matches, recipe, options, seed))
-    result = decide(source, target, proposed, options)
+        matches = _match(source, target, recipe, options[0])
+        proposed.append(_solve(source, target, matches, recipe, options, seed))
+    result = _decide(source, target, proposed, options)
     return replace(
         result,
         failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)),
@@ -137,6 +142,54 @@ def _find_poses(
         notes=tuple(pair_notes(*both, option) for both, option in zip(facts, options, strict=True)),
         stages=_stage_counts(source, target, proposed),
     )
+
+
+@stage("matching")
+def _match(
+    source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
+) -> Correspondences:
+    """Fuse the recipe's blocks and match them mutually."""
+    return match_mutual(
+        fused(source, recipe, options),
+        fused(target, recipe, options),
+        ratio=options.ratio,
+        neighbors=recipe.neighbors,
+    )
+
+
+@stage("hypotheses")
+def _solve(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    matches: Correspondences,
+    recipe: Recipe,
+    options: Sequence[RegistrationOptions],
+    seed: int,
+) -> ProposedPoses:
+    """Turn matches into the distinct poses of every pair, by the recipe's solver."""
+    solvers = [option.solver_named(recipe.solver).at_effort(option.effort) for option in options]
+    drawn = base_seed(torch.Generator().manual_seed(seed))
+    poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=drawn)
+    return ProposedPoses(recipe.origin, matches, poses)
+
+
+@stage("decision")
+def _decide(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    proposed: Sequence[ProposedPoses],
+    options: Sequence[RegistrationOptions],
+) -> RegistrationResult:
+    """Take the solver's best pose of every pair (plain), or choose among all on the clouds and judge it."""
+    effort = options[0].effort
+    if effort == "plain":
+        solvers = [option.solver for option in options]
+        return result_of_poses(source.cloud, target.cloud, proposed[0].matches, proposed[0].poses, solvers)
+    lengths = [
+        PairLengths(option.inlier_threshold, max(spacings))
+        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
+    ]
+    return verify(source.cloud, target.cloud, proposed, lengths, WORK[effort])
 
 
 def _stage_counts(

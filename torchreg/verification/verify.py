@@ -13,7 +13,9 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.threads import shared_out
-from torchreg.refinement import IcpOptions, Pairing, refine_pairs
+from torchreg.refinement.icp import refine_pairs
+from torchreg.refinement.options import IcpOptions
+from torchreg.refinement.pairing import Pairing
 from torchreg.types import Clouds, RegistrationResult
 from torchreg.types.packing import offsets_of
 from torchreg.verification.agreement import agreement

@@ -1,27 +1,18 @@
-"""From two described sides to the result: which sets of features and which solvers compete, their poses, the choice.
+"""Which sets of features and which solvers compete for a pair.
 
 Points that look alike in one set of features may differ in another, so the poses of several sets are candidates
-together, and ``torchreg.verification`` chooses among them. The sets share their descriptors: each is computed once.
+together. The sets share their descriptors: each is computed once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import torch
-
 from torchreg.descriptors.fuse import fuse, rooted
-from torchreg.matching.mutual import match_mutual
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
-from torchreg.registration.stopwatch import stage
-from torchreg.solvers import base_seed, result_of_poses
-from torchreg.solvers.batch import poses_of_pairs
-from torchreg.types import Correspondences, Features, RegistrationResult
-from torchreg.verification import WORK, PairLengths, ProposedPoses
-from torchreg.verification.verify import verify
+from torchreg.types import Features
 
 
 class Recipe(NamedTuple):
@@ -69,54 +60,6 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
     several = first.neighbors if options.ratio is not None else max(first.neighbors, 2)
     ways = ((several, "compatibility"), (first.neighbors, "ransac"))
     return tuple(dict.fromkeys((first, *(recipe(numbers, *way) for numbers in dict.fromkeys(sets) for way in ways))))
-
-
-@stage("matching")
-def match(
-    source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
-) -> Correspondences:
-    """Fuse the recipe's blocks and match them mutually."""
-    return match_mutual(
-        fused(source, recipe, options),
-        fused(target, recipe, options),
-        ratio=options.ratio,
-        neighbors=recipe.neighbors,
-    )
-
-
-@stage("hypotheses")
-def solve(
-    source: DescribedClouds,
-    target: DescribedClouds,
-    matches: Correspondences,
-    recipe: Recipe,
-    options: Sequence[RegistrationOptions],
-    seed: int,
-) -> ProposedPoses:
-    """Turn matches into the distinct poses of every pair, by the recipe's solver."""
-    solvers = [option.solver_named(recipe.solver).at_effort(option.effort) for option in options]
-    drawn = base_seed(torch.Generator().manual_seed(seed))
-    poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=drawn)
-    return ProposedPoses(recipe.origin, matches, poses)
-
-
-@stage("decision")
-def decide(
-    source: DescribedClouds,
-    target: DescribedClouds,
-    proposed: Sequence[ProposedPoses],
-    options: Sequence[RegistrationOptions],
-) -> RegistrationResult:
-    """Take the solver's best pose of every pair (plain), or choose among all on the clouds and judge it."""
-    effort = options[0].effort
-    if effort == "plain":
-        solvers = [option.solver for option in options]
-        return result_of_poses(source.cloud, target.cloud, proposed[0].matches, proposed[0].poses, solvers)
-    lengths = [
-        PairLengths(option.inlier_threshold, max(spacings))
-        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
-    ]
-    return verify(source.cloud, target.cloud, proposed, lengths, WORK[effort])
 
 
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:
