@@ -1,18 +1,18 @@
-"""A refusal names its kind, a sentence with the figures, and the figures themselves."""
+"""A failure_of names its kind, a sentence with the figures, and the figures themselves."""
 
 import pytest
 import torch
 
 from torchreg.verification.candidates import Candidates, Poses
 from torchreg.verification.model import Evidence, probabilities
-from torchreg.verification.reasons import accepted, refusal
+from torchreg.verification.reasons import accepted, failure_of
 
 GOOD = {"overlap": 0.4, "closeness": 0.8, "normals": 0.9, "colors": 0.8, "strength": 0.2, "conflict": 0.01}
 POINTS = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
 
 
 def refused(odds, of_best=0.2, surprise=20.0, **changed):
-    """The refusal of the first of poses with these log-odds, one meter apart; ``of_best``: its strength."""
+    """The failure_of of the first of poses with these log-odds, one meter apart; ``of_best``: its strength."""
     count = len(odds)
     shown = {name: torch.full((count,), value, dtype=torch.float64) for name, value in {**GOOD, **changed}.items()}
     steps = torch.arange(count, dtype=torch.float64)[:, None] * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
@@ -20,7 +20,7 @@ def refused(odds, of_best=0.2, surprise=20.0, **changed):
     poses = Poses(torch.eye(3, dtype=torch.float64).expand(count, 3, 3), steps, zero, zero)
     values = torch.tensor(odds, dtype=torch.float64)
     candidates = Candidates(poses, Evidence(**shown), zero + 9, zero, torch.full_like(values, surprise), values)
-    return refusal(candidates, probabilities(values).tolist(), of_best, POINTS, 0.6)
+    return failure_of(candidates, probabilities(values).tolist(), of_best, POINTS, 0.6)
 
 
 def test_a_success_has_no_reason():

@@ -19,10 +19,10 @@ ACCEPTED = 0.6
 MARGIN = 1.0
 """The least log-odds of a success over its runner-up: about e to one."""
 
-FIRM = 0.1
+FIRM_STRENGTH = 0.1
 """Strength below which sliding is the reason of a refused pose; right poses of real pairs have 0.1 and more."""
 
-_LAID_ON = 0.3  # overlap from which surfaces lie on each other, so that sliding is the likely reason
+_SLIDING_OVERLAP = 0.3  # overlap from which surfaces lie on each other, so that sliding is the likely reason
 _RIVAL = 0.05  # a rival with this share of the probability is named
 
 _LACKING = {
@@ -45,7 +45,7 @@ def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
     return probability >= least and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
 
 
-def refusal(
+def failure_of(
     candidates: Candidates, probabilities: list[float], strength: float, points: Tensor, least: float
 ) -> Failure | None:
     """Why the best of H candidates of one pair, best first, is refused; ``None`` where it is a success.
@@ -66,7 +66,7 @@ def refusal(
         figures |= {"margin": margin, "rival_meters": meters, "rival_degrees": degrees}
         if probability >= least:
             needed = f"log-odds {margin:.2f} above it, {MARGIN:g} are needed"
-    if strength < FIRM and float(candidates.evidence.overlap[0]) >= _LAID_ON:
+    if strength < FIRM_STRENGTH and float(candidates.evidence.overlap[0]) >= _SLIDING_OVERLAP:
         others = f"; {rival}, they agree nearly as well" if rival else ""
         text = f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({needed})"
         return Failure("sliding", text, {**figures, "strength": strength})

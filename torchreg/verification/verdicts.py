@@ -17,7 +17,7 @@ from torchreg.types.packing import offsets_of, spans
 from torchreg.verification.candidates import HALF_TURN, SLIDE, Candidates, Choice, Poses, runs_of
 from torchreg.verification.model import probabilities
 from torchreg.verification.pairs import CenteredPair, ProposedPoses
-from torchreg.verification.reasons import refusal
+from torchreg.verification.reasons import failure_of
 
 _PROBES = {SLIDE: "slide", HALF_TURN: "half turn"}
 
@@ -152,7 +152,7 @@ def _verdict(
         inliers=residual.square().sum(dim=1) < pair.lengths.threshold**2,
         fitness=float(near.fitness),
         inlier_rmse=float(near.inlier_rmse),
-        failure=refusal(weighed, [each.probability for each in described], strength, pair.source.points, least),
+        failure=failure_of(weighed, [each.probability for each in described], strength, pair.source.points, least),
         probability=best.probability,
         overlap=best.overlap,
         information=information,

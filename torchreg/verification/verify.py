@@ -50,7 +50,7 @@ from torchreg.verification.scans import even_rows
 from torchreg.verification.verdicts import Verdict, collect, no_pose, verdicts
 
 _APART = 6.0  # inlier thresholds by which distinct poses move the source at least (rms); ICP bridges less
-_HOPELESS = 5.0  # log-odds below the best at which a probe is not worth refining
+_PROBE_GAP = 5.0  # log-odds below the best at which a probe is not worth refining
 _ICP_POINTS = 600  # of each source
 
 
@@ -119,7 +119,7 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     best, shared, motion = best_held(candidates)
     probes = joined([slides(best.poses, motion, pairs.threshold), half_turns(best.poses, middle)])
     probed = weigh(pairs, probes.take(probes.pair.sort(stable=True).indices))
-    promising = (probed.odds > best.odds[probed.poses.pair] - _HOPELESS).nonzero()[:, 0]
+    promising = (probed.odds > best.odds[probed.poses.pair] - _PROBE_GAP).nonzero()[:, 0]
     if len(promising) > 0:
         refined = icp.refine(probed.take(promising))
         candidates = _distinct(pairs, span, joined([candidates, refined]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from torchreg.registration.options import RegistrationOptions
-from torchreg.report.explain.facts import FIRM, Facts
+from torchreg.report.explain.facts import FIRM_STRENGTH, Facts
 from torchreg.report.text import chance, decimal, meters, odds, percent, share
 from torchreg.solvers import RansacOptions
 
@@ -142,7 +142,7 @@ def _overlap(facts: Facts) -> str:
 
 
 def _strength(facts: Facts) -> str:
-    if facts.strength is None or facts.strength >= FIRM:
+    if facts.strength is None or facts.strength >= FIRM_STRENGTH:
         return ""
     return f"larger scans, with surfaces across the one along which the pose slides: strength {decimal(facts.strength)}"
 

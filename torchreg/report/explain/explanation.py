@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from torchreg.report.explain.advice import advice
-from torchreg.report.explain.facts import FIRM, WEAK, Facts, facts_of
+from torchreg.report.explain.facts import FIRM_STRENGTH, WEAK, Facts, facts_of
 from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, share
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
@@ -51,7 +51,7 @@ def meaning_of_strength(strength: float) -> str:
     """How firmly the surfaces hold a pose of this strength."""
     if strength < WEAK:
         return "in some direction the surfaces hardly hold the pose, it can slide or turn there"
-    if strength < FIRM:
+    if strength < FIRM_STRENGTH:
         return "in some direction the surfaces hold the pose weakly"
     return "the surfaces hold the pose in every direction"
 

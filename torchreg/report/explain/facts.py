@@ -12,7 +12,7 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.types import Candidate, Clouds, Failure, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
 
-WEAK, FIRM = 0.03, 0.1
+WEAK, FIRM_STRENGTH = 0.03, 0.1
 """Strengths: below the one a pose hardly holds in some direction, above the other in all (of real pairs, 0.14 up)."""
 
 
