@@ -1,4 +1,4 @@
-"""A failure_of names its kind, a sentence with the figures, and the figures themselves."""
+"""A failure names its kind, a sentence with the figures, and the figures themselves."""
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ POINTS = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
 
 
 def refused(odds, of_best=0.2, surprise=20.0, **changed):
-    """The failure_of of the first of poses with these log-odds, one meter apart; ``of_best``: its strength."""
+    """The failure of the first of poses with these log-odds, one meter apart; ``of_best``: its strength."""
     count = len(odds)
     shown = {name: torch.full((count,), value, dtype=torch.float64) for name, value in {**GOOD, **changed}.items()}
     steps = torch.arange(count, dtype=torch.float64)[:, None] * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)

@@ -274,5 +274,5 @@ _WEIGHT, _ROOT = shipped_numbers()
 LEARNED = replace(PAPER, descriptors=(Fpfh(radius=5.0), Learned(radius=2.0)), weights=(1.0, _WEIGHT), root=_ROOT)
 """The paper's procedure with features whose color block was trained on colored scans (``python bench/sensitivity.py
 ship``): bins, channel weights, the weight of every neighbor, the block's weight and the roots of histograms. On scenes
-that training never saw such features beat the paper's fixed rule (README). Lengths are the paper's, in meters; for
-points of spacing s take ``LEARNED.scaled(s)`` with an inlier threshold of 1.5 s."""
+that training never saw such features beat the paper's fixed rule (docs/benchmarks/sensitivity.md). Lengths are the
+paper's, in meters; for points of spacing s take ``LEARNED.scaled(s)`` with an inlier threshold of 1.5 s."""
