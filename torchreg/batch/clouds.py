@@ -18,37 +18,22 @@ from torchreg.types import Clouds
 
 
 class CloudSource(NamedTuple):
-    """A file and how it is read; equal ones give equal clouds.
-
-    Attributes:
-        path: of the file.
-        viewpoint: as in ``PairSettings``.
-        points: how many are chosen at random; ``None`` for all.
-        seed: of that choice; 0 where there is none.
-    """
+    """A file and how it is read; equal ones give equal clouds."""
 
     path: str
-    viewpoint: str
-    points: int | None
-    seed: int
+    viewpoint: str  # as in ``PairSettings``
+    points: int | None  # that are chosen at random; ``None`` for all
+    seed: int  # of that choice; 0 where there is none
 
 
 class CloudMeasures(NamedTuple):
-    """What is known of a cloud before it is described.
+    """What is known of a cloud before it is described."""
 
-    Attributes:
-        digest: of all that the cloud holds; equal clouds have equal digests.
-        points: how many.
-        colored: whether it has colors.
-        voxel: meters; the voxel edge that its number of points asks for, or that was given; 0 for none.
-        spacing: meters, of the points after that; 0 where it was not asked for.
-    """
-
-    digest: str
+    digest: str  # of all that the cloud holds; equal clouds have equal digests
     points: int
     colored: bool
-    voxel: float
-    spacing: float
+    voxel: float  # meters; the voxel edge that its number of points asks for, or that was given; 0 for none
+    spacing: float  # meters, of the points after that; 0 where it was not asked for
 
 
 def sources_of(pair: Pair) -> tuple[CloudSource, CloudSource]:

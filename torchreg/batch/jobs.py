@@ -39,19 +39,12 @@ class DeriveItem(NamedTuple):
 
 
 class DescribeItem(NamedTuple):
-    """A cloud to be described.
+    """A cloud to be described."""
 
-    Attributes:
-        source: where it is read.
-        digest: what it is expected to hold.
-        description: what it is described with.
-        file: where its description is kept.
-    """
-
-    source: CloudSource
-    digest: str
-    description: Description
-    file: str
+    source: CloudSource  # where it is read
+    digest: str  # what it is expected to hold
+    description: Description  # what it is described with
+    file: str  # where its description is kept
 
 
 class PairItem(NamedTuple):
@@ -115,7 +108,6 @@ def _described(item: DescribeItem, loaded: DescribedClouds | Clouds, device: str
 
 
 def _register(item: Slice, loaded: dict[str, DescribedClouds | Clouds], device: str) -> list[Row]:
-    """The rows of a slice."""
     clouds = {side.file: side for pair in item for side in (pair.source, pair.target)}
     described = {file: _described(side, loaded[file], device) for file, side in clouds.items()}
     sides = [

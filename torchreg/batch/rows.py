@@ -46,23 +46,14 @@ class Bounds(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What is known of one pair when it is done.
-
-    Attributes:
-        name: of the pair.
-        state: one of the four above.
-        table: its line; the same whenever and wherever the pair is computed.
-        seconds: by stage, an even share of what its slice took.
-        record: the content of its file, the whole result; ``None`` where there was none.
-        digests: of both clouds, empty where they were not read.
-    """
+    """What is known of one pair when it is done."""
 
     name: str
-    state: str
-    table: dict[str, Any]
-    seconds: dict[str, float]
-    record: dict[str, Any] | None
-    digests: tuple[str, str] = ("", "")
+    state: str  # one of the four above
+    table: dict[str, Any]  # its line; the same whenever and wherever the pair is computed
+    seconds: dict[str, float]  # by stage, an even share of what its slice took
+    record: dict[str, Any] | None  # the content of its file, the whole result; ``None`` where there was none
+    digests: tuple[str, str] = ("", "")  # of both clouds, empty where they were not read
 
     @staticmethod
     def failed(pair: Pair, reason: str, *, expected: bool) -> Row:

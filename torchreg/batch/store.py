@@ -50,24 +50,15 @@ _FINISHED = "SELECT name, state, said, options, digests, line, seconds FROM pair
 
 
 class FinishedPair:
-    """The row of a pair as it was committed.
-
-    Attributes:
-        state: as in ``Row``.
-        text: the pair as it was written (``Pair.text``).
-        options: that it was registered with, as one text.
-        digests: of both clouds.
-        line: of the table.
-        seconds: by stage.
-    """
+    """The row of a pair as it was committed."""
 
     def __init__(self, row: sqlite3.Row) -> None:
-        self.state: str = row["state"]
-        self.text: str = row["said"]
-        self.options: str = row["options"]
-        self.digests: tuple[str, str] = tuple(json.loads(row["digests"]))
-        self.line: dict[str, Any] = json.loads(row["line"])
-        self.seconds: dict[str, float] = json.loads(row["seconds"])
+        self.state: str = row["state"]  # as in ``Row``
+        self.text: str = row["said"]  # the pair as it was written (``Pair.text``)
+        self.options: str = row["options"]  # that it was registered with, as one text
+        self.digests: tuple[str, str] = tuple(json.loads(row["digests"]))  # of both clouds
+        self.line: dict[str, Any] = json.loads(row["line"])  # of the table
+        self.seconds: dict[str, float] = json.loads(row["seconds"])  # by stage
 
 
 class Store:

@@ -15,39 +15,23 @@ _WORST = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Counts of pairs unless stated.
+    """Counts of pairs unless stated."""
 
-    Attributes:
-        pairs: all.
-        clouds: different files among their sources and targets.
-        registered: with a pose that is trusted.
-        refused: without one, each for its reason.
-        unreadable: a cloud could not be read.
-        broken: failed by a defect of ours.
-        with_truth: whose transform is known.
-        recalled: of those, registered and right.
-        wrong_registered: of those, registered and wrong.
-        right_refused: of those, refused though the best pose was right.
-        rre_degrees: median over the recalled pairs; ``None`` without any.
-        rte_meters: likewise.
-        seconds: by stage, over all pairs, summed over workers.
-        worst: (name, what is wrong) of the pairs to check first, the worst first: registered but wrong, failed,
-            refused, then registered ones of the least probability.
-    """
-
-    pairs: int
-    clouds: int
-    registered: int
-    refused: int
-    unreadable: int
-    broken: int
-    with_truth: int
-    recalled: int
-    wrong_registered: int
-    right_refused: int
-    rre_degrees: float | None
-    rte_meters: float | None
-    seconds: dict[str, float]
+    pairs: int  # all
+    clouds: int  # different files among their sources and targets
+    registered: int  # with a pose that is trusted
+    refused: int  # without one, each for its reason
+    unreadable: int  # a cloud could not be read
+    broken: int  # failed by a defect of ours
+    with_truth: int  # whose transform is known
+    recalled: int  # of those, registered and right
+    wrong_registered: int  # of those, registered and wrong
+    right_refused: int  # of those, refused though the best pose was right
+    rre_degrees: float | None  # median over the recalled pairs; ``None`` without any
+    rte_meters: float | None  # likewise
+    seconds: dict[str, float]  # by stage, over all pairs, summed over workers
+    # (name, what is wrong) of the pairs to check first, the worst first: registered but wrong, failed, refused, then
+    # registered ones of the least probability
     worst: tuple[tuple[str, str], ...]
 
     @property

@@ -21,17 +21,11 @@ CloudKey = tuple[CloudSource, float | None]
 
 
 class Survey(NamedTuple):
-    """What is known of the clouds.
+    """What is known of the clouds."""
 
-    Attributes:
-        measures: of all that could be read.
-        unreadable: why the others could not.
-        scales: of the clouds that share one.
-    """
-
-    measures: dict[CloudKey, CloudMeasures]
-    unreadable: dict[CloudKey, Outcome]
-    scales: dict[CloudKey, Scale]
+    measures: dict[CloudKey, CloudMeasures]  # of all that could be read
+    unreadable: dict[CloudKey, Outcome]  # why the others could not
+    scales: dict[CloudKey, Scale]  # of the clouds that share one
 
     def trouble(self, pair: Pair) -> Outcome | None:
         """The outcome of a cloud of the pair that cannot be read; ``None`` where both can."""

@@ -210,7 +210,6 @@ def batch(
 
 
 def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, bounds: Bounds) -> None:
-    """Run the batch, with its messages."""
     described = (store.folder / "described" if work.cache is None else work.cache).absolute()
     described.mkdir(exist_ok=True)
     remove_remains(described, older_than=3600.0)

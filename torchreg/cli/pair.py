@@ -58,17 +58,11 @@ class PairArguments:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReadPair:
-    """Source and target, in this order throughout.
+    """Source and target, in this order throughout."""
 
-    Attributes:
-        files: what reading them showed.
-        whole: all points of the files.
-        used: the points to be registered.
-    """
-
-    files: tuple[CloudFile, CloudFile]
-    whole: tuple[Clouds, Clouds]
-    used: tuple[Clouds, Clouds]
+    files: tuple[CloudFile, CloudFile]  # what reading them showed
+    whole: tuple[Clouds, Clouds]  # all points of the files
+    used: tuple[Clouds, Clouds]  # the points to be registered
 
     @property
     def words(self) -> tuple[str, str]:

@@ -131,17 +131,11 @@ def checked_dtype(dtype: torch.dtype) -> torch.dtype:
 
 
 class ScaledColors(NamedTuple):
-    """Colors in [0, 1] and what they were.
+    """Colors in [0, 1] and what they were."""
 
-    Attributes:
-        values: (N, 3) float64, or ``None`` where not one color is a number.
-        depth: "uint8", "uint16" or "float".
-        notes: what a user should know.
-    """
-
-    values: NDArray[Any] | None
-    depth: str
-    notes: tuple[str, ...]
+    values: NDArray[Any] | None  # (N, 3) float64, or ``None`` where not one color is a number
+    depth: str  # "uint8", "uint16" or "float"
+    notes: tuple[str, ...]  # what a user should know
 
 
 def scale_colors(colors: NDArray[Any], name: str) -> ScaledColors:

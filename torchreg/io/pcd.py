@@ -134,10 +134,8 @@ def _read_compressed(path: Path, columns: Sequence[Column], rows: int, offset: i
     """Read a compressed body: two sizes, then all columns one after another, packed as LZF.
 
     LibLZF unpacks it, behind checks of both sizes: Open3D 0.20 crashes on some damaged headers, and where x, y, z
-    differ in type it finds no points. Arguments and result are those of ``read_binary``.
-
-    Raises:
-        CloudFileError: sizes that disagree with the header or the file, or bytes that are no LZF.
+    differ in type it finds no points. Arguments and result are those of ``read_binary``; ``CloudFileError`` for sizes
+    that disagree with the header or the file, and for bytes that are no LZF.
     """
     with path.open("rb") as file:
         file.seek(offset)

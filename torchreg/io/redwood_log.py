@@ -27,19 +27,12 @@ _LARGEST_FILE = 1 << 26  # bytes
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LogEntry:
-    """The true motion between two fragments.
+    """The true motion between two fragments."""
 
-    Attributes:
-        line: where its header stands in the file, counted from 1.
-        i: number of the fragment whose frame the matrix leads to, from 0.
-        j: number of the fragment whose points it moves.
-        T_i_j: (4, 4) float64, meters: ``x_i = R @ x_j + t``.
-    """
-
-    line: int
-    i: int
-    j: int
-    T_i_j: Tensor
+    line: int  # where its header stands in the file, counted from 1
+    i: int  # number of the fragment whose frame the matrix leads to, from 0
+    j: int  # number of the fragment whose points it moves
+    T_i_j: Tensor  # (4, 4) float64, meters: ``x_i = R @ x_j + t``
 
 
 def read_redwood_log(path: str | os.PathLike[str]) -> tuple[LogEntry, ...]:

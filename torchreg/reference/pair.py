@@ -29,30 +29,21 @@ MUTUAL_SHARE = 0.1
 
 @dataclass(eq=False)
 class PairOutcome:
-    """One pair's share of a result.
+    """One pair's share of a result."""
 
-    Attributes:
-        source: the cloud that the matches' rows count, downsampled.
-        target: likewise.
-        failure: why the pair was not registered, ``None`` where it was.
-        T: (4, 4) float64, T_target_source, origins included.
-        matches: (M, 2) int64, rows of the pair's own clouds after downsampling.
-        score: (M,) float64, distances in feature space.
-        inliers: (M,) bool.
-        fitness, inlier_rmse: as Open3D returns them.
-        notes: what a user should know.
-    """
-
-    source: Clouds
-    target: Clouds
-    failure: Failure | None = None
+    source: Clouds  # the cloud that the matches' rows count, downsampled
+    target: Clouds  # likewise
+    failure: Failure | None = None  # why the pair was not registered, ``None`` where it was
+    # (4, 4) float64, T_target_source, origins included
     T: Tensor = field(default_factory=lambda: torch.eye(4, dtype=torch.float64))
+    # (M, 2) int64, rows of the pair's own clouds after downsampling
     matches: Tensor = field(default_factory=lambda: torch.zeros(0, 2, dtype=torch.int64))
+    # (M,) float64, distances in feature space
     score: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
-    inliers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
-    fitness: float = 0.0
-    inlier_rmse: float = 0.0
-    notes: tuple[str, ...] = ()
+    inliers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))  # (M,) bool
+    fitness: float = 0.0  # as Open3D returns it
+    inlier_rmse: float = 0.0  # as Open3D returns it
+    notes: tuple[str, ...] = ()  # what a user should know
 
 
 def register_pair(source: Clouds, target: Clouds, options: RegistrationOptions, features: str) -> PairOutcome:

@@ -24,17 +24,11 @@ KINDS = ("edge of f1", "edge of f2", "edge of f3", "exchange", "line along a nor
 
 
 class Rounding(NamedTuple):
-    """How far the features may be off in a floating-point type, and when they have lost half of their digits.
+    """How far the features may be off in a floating-point type, and when they have lost half of their digits."""
 
-    Attributes:
-        position: of a feature, in widths of a bin.
-        direction: of v, in radians, where the line is across the normal; it grows with the inverse of their sine.
-        parallel: the sine of line and normal below which v has no direction.
-    """
-
-    position: float
-    direction: float
-    parallel: float
+    position: float  # of a feature, in widths of a bin
+    direction: float  # of v, in radians, where the line is across the normal; it grows with the inverse of their sine
+    parallel: float  # the sine of line and normal below which v has no direction
 
 
 ROUNDING = {torch.float64: Rounding(1e-12, 1e-15, 1e-7), torch.float32: Rounding(4e-6, 1e-6, 1e-3)}
@@ -58,15 +52,10 @@ class Tie(NamedTuple):
 
 
 class Ties(NamedTuple):
-    """All of a cloud.
+    """All of a cloud."""
 
-    Attributes:
-        pairs: every one, by row.
-        touched: (P,) bool, rows of FPFH with a tie in their own histogram or in that of a neighbor.
-    """
-
-    pairs: list[Tie]
-    touched: Tensor
+    pairs: list[Tie]  # every one, by row
+    touched: Tensor  # (P,) bool, rows of FPFH with a tie in their own histogram or in that of a neighbor
 
 
 def find_ties(cloud: Clouds, near: Neighborhoods, rounding: Rounding = ROUNDING[torch.float64]) -> Ties:

@@ -30,17 +30,11 @@ _GRAYS = (0.35, 0.85)  # of points without color: near and far
 
 
 class MatchEnds(NamedTuple):
-    """Where the matches of one pair begin and end.
+    """Where the matches of one pair begin and end."""
 
-    Attributes:
-        source: (M, 3) float64, meters, relative to the source's origin.
-        target: (M, 3) float64, meters, relative to the target's origin.
-        inlier: (M,) bool.
-    """
-
-    source: NDArray[Any]
-    target: NDArray[Any]
-    inlier: NDArray[Any]
+    source: NDArray[Any]  # (M, 3) float64, meters, relative to the source's origin
+    target: NDArray[Any]  # (M, 3) float64, meters, relative to the target's origin
+    inlier: NDArray[Any]  # (M,) bool
 
 
 def correspondence_figure(

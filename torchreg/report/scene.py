@@ -24,21 +24,13 @@ _FEW = 1000
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Two thinned clouds in the frame of a picture, which is the target's.
+    """Two thinned clouds in the frame of a picture, which is the target's."""
 
-    Attributes:
-        source: (N, 3) float64, meters, relative to the source's origin.
-        target: (M, 3) float64, meters, relative to the target's origin.
-        colors: (N + M, 3) in [0, 1], source before target, or ``None`` where one of them has none.
-        counts: points of source and target before thinning.
-        clouds: the clouds themselves.
-    """
-
-    source: NDArray[Any]
-    target: NDArray[Any]
-    colors: NDArray[Any] | None
-    counts: tuple[int, int]
-    clouds: tuple[Clouds, Clouds]
+    source: NDArray[Any]  # (N, 3) float64, meters, relative to the source's origin
+    target: NDArray[Any]  # (M, 3) float64, meters, relative to the target's origin
+    colors: NDArray[Any] | None  # (N + M, 3) in [0, 1], source before target, or ``None`` where one of them has none
+    counts: tuple[int, int]  # points of source and target before thinning
+    clouds: tuple[Clouds, Clouds]  # whole, source before target
 
     def moved(self, T_target_source: Tensor, points: NDArray[Any] | None = None) -> NDArray[Any]:
         """The source, or other points (N, 3) in its frame, under a transform (4, 4), origins included."""

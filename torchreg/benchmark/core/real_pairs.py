@@ -21,29 +21,17 @@ _NEEDED = ("name", "scene", "source", "target", "T", "voxel_m", "overlap")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RealPair:
-    """One pair of the list.
+    """One pair of the list."""
 
-    Attributes:
-        name: different for every pair.
-        scene: where it was scanned.
-        source: the file of the source cloud.
-        target: the file of the target cloud.
-        T_target_source: (4, 4) float64, meters, true.
-        voxel: meters, the voxels to average both clouds over.
-        overlap: share of either cloud that the other covers.
-        colored: whether the clouds have colors, by the list.
-        outdoor: whether the scene is outdoors, by the list.
-    """
-
-    name: str
-    scene: str
-    source: Path
-    target: Path
-    T_target_source: Tensor
-    voxel: float
-    overlap: float
-    colored: bool = True
-    outdoor: bool = False
+    name: str  # different for every pair
+    scene: str  # where it was scanned
+    source: Path  # the file of the source cloud
+    target: Path  # the file of the target cloud
+    T_target_source: Tensor  # (4, 4) float64, meters, true
+    voxel: float  # meters, the voxels to average both clouds over
+    overlap: float  # share of either cloud that the other covers
+    colored: bool = True  # whether the clouds have colors, by the list
+    outdoor: bool = False  # whether the scene is outdoors, by the list
 
 
 def read_real_pairs(path: str | os.PathLike[str]) -> tuple[RealPair, ...]:

@@ -38,33 +38,19 @@ OVERLAPS: tuple[tuple[str, float, float], ...] = (
 
 
 class FieldCell(NamedTuple):
-    """One method on one group of pairs. Rates are shares of pairs; ``None`` where there are none.
-
-    Attributes:
-        pairs: how many.
-        recall: by rotation and translation error.
-        recall_rmse: by the root mean square error over the true matches.
-        match_recall: share of pairs whose matches suffice.
-        inlier_ratio: mean over the pairs.
-        rre_deg: median over the pairs found by errors, degrees.
-        rte_m: likewise, meters.
-        seconds: median.
-        wrong_called_right: pairs not found by errors that the method calls a success.
-        right_refused: pairs found that it does not call a success.
-        errors: pairs on which it ended with an exception.
-    """
+    """One method on one group of pairs. Rates are shares of pairs; ``None`` where there are none."""
 
     pairs: int
-    recall: Interval
-    recall_rmse: Interval
-    match_recall: Interval | None
-    inlier_ratio: Interval | None
-    rre_deg: Interval | None
-    rte_m: Interval | None
-    seconds: Interval
-    wrong_called_right: int
-    right_refused: int
-    errors: int
+    recall: Interval  # by rotation and translation error
+    recall_rmse: Interval  # by the root mean square error over the true matches
+    match_recall: Interval | None  # share of pairs whose matches suffice
+    inlier_ratio: Interval | None  # mean over the pairs
+    rre_deg: Interval | None  # median over the pairs found by errors, degrees
+    rte_m: Interval | None  # likewise, meters
+    seconds: Interval  # median
+    wrong_called_right: int  # pairs not found by errors that the method calls a success
+    right_refused: int  # pairs found that it does not call a success
+    errors: int  # pairs on which it ended with an exception
 
 
 def found_by_errors(row: Row) -> bool:

@@ -23,23 +23,14 @@ from torchreg.types import Clouds
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceGroup:
-    """Places whose results are one column of a table: their mean and spread are taken over these places.
+    """Places whose results are one column of a table: their mean and spread are taken over these places."""
 
-    Attributes:
-        name: a few words.
-        title: the same in full.
-        outdoor: stands for the road rather than the mall.
-        paper: scanned as in the paper, and not a variant that goes beyond it.
-        real: scans of real places, at another scale than the paper's.
-        refit: RANSAC refits its best hypotheses to their inliers.
-    """
-
-    name: str
-    title: str
-    outdoor: bool = False
-    paper: bool = True
-    real: bool = False
-    refit: bool = True
+    name: str  # a few words
+    title: str  # the same in full
+    outdoor: bool = False  # stands for the road rather than the mall
+    paper: bool = True  # scanned as in the paper, and not a variant that goes beyond it
+    real: bool = False  # scans of real places, at another scale than the paper's
+    refit: bool = True  # RANSAC refits its best hypotheses to their inliers
 
 
 MALL = PlaceGroup(name="mall", title="simulated mall, both scans from one place")
@@ -65,21 +56,13 @@ _SAME_PLACE = 0.1  # meters: a tripod set up again
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """One pair of scans.
+    """One pair of scans."""
 
-    Attributes:
-        group: of which it is a member.
-        name: different for every place.
-        number: of the place within its group, which seeds its random draws.
-        scale: of the paper's lengths.
-        scan: makes or reads the two scans.
-    """
-
-    group: PlaceGroup
-    name: str
-    number: int
-    scale: float
-    scan: Callable[[], ScanPair]
+    group: PlaceGroup  # of which it is a member
+    name: str  # different for every place
+    number: int  # of the place within its group, which seeds its random draws
+    scale: float  # of the paper's lengths
+    scan: Callable[[], ScanPair]  # makes or reads the two scans
 
     def clouds(self) -> tuple[Clouds, Clouds]:
         """Source and target in the target's frame: the same coordinates for the same surface."""

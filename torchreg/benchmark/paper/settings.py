@@ -16,19 +16,14 @@ from torchreg.geometry.se3 import rigid
 
 
 class InitialPose(NamedTuple):
-    """How the target is moved before the registration: the truth.
+    """How the target is moved before the registration: the truth."""
 
-    Attributes:
-        roll, pitch, yaw: degrees about x, y and z.
-        x, y, z: meters.
-    """
-
-    roll: float
-    pitch: float
-    yaw: float
-    x: float
-    y: float
-    z: float
+    roll: float  # degrees, about x
+    pitch: float  # degrees, about y
+    yaw: float  # degrees, about z
+    x: float  # meters
+    y: float  # meters
+    z: float  # meters
 
     def matrix(self) -> Tensor:
         """``T_moved_target`` (4, 4) float64: turned, then shifted."""
@@ -37,21 +32,13 @@ class InitialPose(NamedTuple):
 
 
 class PaperSetting(NamedTuple):
-    """One column of the paper's tables.
+    """One column of the paper's tables."""
 
-    Attributes:
-        experiment: 1, 2, 3 or 5.
-        name: of the column.
-        points: of the source and of the target, drawn at random.
-        pose: the initial one.
-        outdoor: the road rather than the mall.
-    """
-
-    experiment: int
+    experiment: int  # 1, 2, 3 or 5
     name: str
-    points: tuple[int, int]
+    points: tuple[int, int]  # of the source and of the target, drawn at random
     pose: InitialPose
-    outdoor: bool = False
+    outdoor: bool = False  # the road rather than the mall
 
 
 SETTINGS = (
@@ -74,21 +61,13 @@ TABLES = {1: 5, 2: 6, 3: 7, 4: 8, 5: 9}
 
 
 class RunSize(NamedTuple):
-    """How long a run takes: at the paper's sizes, or at small ones to see that everything works.
+    """How long a run takes: at the paper's sizes, or at small ones to see that everything works."""
 
-    Attributes:
-        angular_step: degrees between the rays of the simulated scanners.
-        divisor: of the paper's point counts.
-        hypotheses: that RANSAC draws at most.
-        repeats: of every measured time.
-        variants: whether stations apart are simulated too.
-    """
-
-    angular_step: float
-    divisor: int
-    hypotheses: int
-    repeats: int
-    variants: bool
+    angular_step: float  # degrees between the rays of the simulated scanners
+    divisor: int  # of the paper's point counts
+    hypotheses: int  # that RANSAC draws at most
+    repeats: int  # of every measured time
+    variants: bool  # whether stations apart are simulated too
 
 
 FULL = RunSize(angular_step=0.4, divisor=1, hypotheses=600_000, repeats=7, variants=True)

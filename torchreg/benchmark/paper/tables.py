@@ -38,17 +38,11 @@ class Spread(NamedTuple):
 
 
 class PaperCell(NamedTuple):
-    """One setting, group and method.
+    """One setting, group and method."""
 
-    Attributes:
-        runs: how many places.
-        found: of these, pairs whose RMSE is below ``FOUND`` inlier thresholds.
-        spreads: by measure.
-    """
-
-    runs: int
-    found: int
-    spreads: dict[str, Spread]
+    runs: int  # number of places
+    found: int  # of these, pairs whose RMSE is below ``FOUND`` inlier thresholds
+    spreads: dict[str, Spread]  # by measure
 
 
 Key = tuple[int, str, str, str]

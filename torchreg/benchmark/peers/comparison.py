@@ -23,42 +23,24 @@ from torchreg.types import Clouds
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TruePair:
-    """One pair to measure.
+    """One pair to measure."""
 
-    Attributes:
-        name: different for every pair.
-        facts: further values of its rows, ``scene`` among them.
-        read: reads both clouds, not yet downsampled.
-        voxel: meters, the voxels that they are averaged over.
-        near: meters; a match is an inlier, and a source point overlaps, where it is nearer to its partner under the
-            truth.
-        T_true: (4, 4) float64, meters, origins included.
-        information: (6, 6) of the true matches, where it is known.
-    """
-
-    name: str
-    facts: dict[str, Any]
-    read: Callable[[], tuple[Clouds, Clouds]]
-    voxel: float
-    near: float
-    T_true: Tensor
-    information: Tensor | None = None
+    name: str  # different for every pair
+    facts: dict[str, Any]  # further values of its rows, ``scene`` among them
+    read: Callable[[], tuple[Clouds, Clouds]]  # reads both clouds, not yet downsampled
+    voxel: float  # meters, the voxels that they are averaged over
+    near: float  # meters; nearer to its partner under the truth, a match is an inlier and a source point overlaps
+    T_true: Tensor  # (4, 4) float64, meters, origins included
+    information: Tensor | None = None  # (6, 6) of the true matches, where it is known
 
 
 class MethodComparison(NamedTuple):
-    """The methods of a study, and its rows.
+    """The methods of a study, and its rows."""
 
-    Attributes:
-        rows: one per pair and method.
-        methods: those asked for, in order.
-        gaps: why some of them could not run, by name.
-        seed: of the intervals.
-    """
-
-    rows: Sequence[Row]
-    methods: Sequence[Method]
-    gaps: Mapping[str, str]
-    seed: int = 0
+    rows: Sequence[Row]  # one per pair and method
+    methods: Sequence[Method]  # those asked for, in order
+    gaps: Mapping[str, str]  # why some of them could not run, by name
+    seed: int = 0  # of the intervals
 
     def of(self, method: Method) -> list[Row]:
         """The rows of one method."""
@@ -71,21 +53,13 @@ class MethodComparison(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonOptions:
-    """Which methods are compared on which pairs, and how they run.
+    """Which methods are compared on which pairs, and how they run."""
 
-    Attributes:
-        methods: their names; ``None`` takes all.
-        scenes: whose pairs are taken; ``None`` takes all.
-        quick: one pair of every scene alone; slow methods only where they are named.
-        device: where torchreg computes.
-        seed: of every random draw and of the intervals.
-    """
-
-    methods: Sequence[str] | None = None
-    scenes: Sequence[str] | None = None
-    quick: bool = False
-    device: str = "cpu"
-    seed: int = 0
+    methods: Sequence[str] | None = None  # their names; ``None`` takes all
+    scenes: Sequence[str] | None = None  # whose pairs are taken; ``None`` takes all
+    quick: bool = False  # one pair of every scene alone; slow methods only where they are named
+    device: str = "cpu"  # where torchreg computes
+    seed: int = 0  # of every random draw and of the intervals
 
 
 EVERYTHING = ComparisonOptions()

@@ -28,21 +28,13 @@ GROWTH_SUBJECT = "FPFH + PCFH"
 
 @dataclass(frozen=True, kw_only=True)
 class TimedCell:
-    """One subject at one size.
-
-    Attributes:
-        subject: its name.
-        points: of each cloud.
-        neighbors: slots of FPFH's support.
-        hypotheses: that RANSAC draws; 0 where it does not take part.
-        build: makes what is timed out of a scene.
-    """
+    """One subject at one size."""
 
     subject: str
-    points: int
-    neighbors: int = NEIGHBORS
-    hypotheses: int = 0
-    build: Subject
+    points: int  # of each cloud
+    neighbors: int = NEIGHBORS  # slots of FPFH's support
+    hypotheses: int = 0  # that RANSAC draws; 0 where it does not take part
+    build: Subject  # makes what is timed out of a scene
 
     @property
     def key(self) -> str:

@@ -22,17 +22,11 @@ _COARSE_UP_TO = 100_000
 
 @dataclass(frozen=True, eq=False)
 class TimedCloud:
-    """One cloud, and the results of its stages that later ones take.
+    """One cloud, and the results of its stages that later ones take."""
 
-    Attributes:
-        cloud: with colors, without normals.
-        spacing: meters between its points; supports are 2 (normals, color) and 5 (FPFH) of it.
-        max_neighbors: slots of the FPFH support.
-    """
-
-    cloud: Clouds
-    spacing: float
-    max_neighbors: int
+    cloud: Clouds  # with colors, without normals
+    spacing: float  # meters between its points; supports are 2 (normals, color) and 5 (FPFH) of it
+    max_neighbors: int  # slots of the FPFH support
 
     @cached_property
     def near(self) -> Neighborhoods:

@@ -26,23 +26,14 @@ LEAST_INLIER_RATIO = 0.05
 
 
 class SceneScore(NamedTuple):
-    """One method on one scene, or the mean over scenes. ``None`` where there are no such pairs.
+    """One method on one scene, or the mean over scenes. ``None`` where there are no such pairs."""
 
-    Attributes:
-        recall: registration recall.
-        match_recall: feature-match recall.
-        inlier_ratio: mean over the pairs.
-        rre_deg: mean over the pairs recalled, degrees.
-        rte_m: likewise, meters.
-        seconds: mean over the pairs.
-    """
-
-    recall: float | None
-    match_recall: float | None
-    inlier_ratio: float | None
-    rre_deg: float | None
-    rte_m: float | None
-    seconds: float | None
+    recall: float | None  # registration recall
+    match_recall: float | None  # feature-match recall
+    inlier_ratio: float | None  # mean over the pairs
+    rre_deg: float | None  # mean over the pairs recalled, degrees
+    rte_m: float | None  # likewise, meters
+    seconds: float | None  # mean over the pairs
 
 
 def counts(row: Row) -> bool:

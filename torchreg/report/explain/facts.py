@@ -19,24 +19,18 @@ WEAK, FIRM_STRENGTH = 0.03, 0.1
 class Facts(NamedTuple):
     """One pair in plain numbers; ``None`` for a figure that was not computed, or of a pose where there is none.
 
-    The names are those of ``RegistrationResult`` and of its ``HypothesisCounts``, and these:
-
-    Attributes:
-        colored: whether both clouds that were matched have colors.
-        unknown_viewpoints: which of "source" and "target" have none.
-        matches, inliers: counts of the correspondences and of those that agree with the pose.
-        apart: degrees and meters between the pose and its runner-up.
+    The names are those of ``RegistrationResult`` and of its ``HypothesisCounts``, but for those with a comment.
     """
 
     success: bool
     failure: Failure | None
     notes: tuple[str, ...]
-    colored: bool
-    unknown_viewpoints: tuple[str, ...]
+    colored: bool  # whether both clouds that were matched have colors
+    unknown_viewpoints: tuple[str, ...]  # which of "source" and "target" have none
     options: RegistrationOptions | None
     stages: StageCounts | None
-    matches: int
-    inliers: int
+    matches: int  # number of correspondences
+    inliers: int  # of those, how many agree with the pose
     drawn: int
     kept: int
     scored: int
@@ -46,7 +40,7 @@ class Facts(NamedTuple):
     overlap: float | None
     strength: float | None
     margin: float | None
-    apart: tuple[float, float] | None
+    apart: tuple[float, float] | None  # degrees and meters between the pose and its runner-up
     candidates: tuple[Candidate, ...]
 
     @property
