@@ -92,10 +92,7 @@ def _describe(item: DescribeItem, cloud: Clouds, device: str) -> int:
 def _load_slice(item: Slice) -> dict[str, DescribedClouds | Clouds]:
     """The described clouds of a slice by their files; where a file is missing or damaged, the cloud itself."""
     clouds = {side.file: side for pair in item for side in (pair.source, pair.target)}
-    return {
-        file: read_described(Path(file), side.description) or _load_cloud(side)
-        for file, side in clouds.items()
-    }
+    return {file: read_described(Path(file), side.description) or _load_cloud(side) for file, side in clouds.items()}
 
 
 def _described(item: DescribeItem, loaded: DescribedClouds | Clouds, device: str) -> DescribedClouds:
