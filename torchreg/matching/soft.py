@@ -79,15 +79,10 @@ def soft_match(
 
 
 class SoftTargets(NamedTuple):
-    """One expected partner per source point of a packed batch.
+    """One expected partner per source point of a packed batch."""
 
-    Attributes:
-        points: (P, 3) meters, in the frame of the target points given; zeros where the weight is 0.
-        weights: (P,) the confidence that the point has a partner at all: the sum of its row.
-    """
-
-    points: Tensor
-    weights: Tensor
+    points: Tensor  # (P, 3) meters, in the frame of the target points given; zeros where the weight is 0
+    weights: Tensor  # (P,) the confidence that the point has a partner at all: the sum of its row
 
 
 def soft_targets(matches: SoftCorrespondences, target: Tensor) -> SoftTargets:

@@ -20,42 +20,27 @@ DISPLAY_GAMMA = 2.2
 class Light:
     """All light of a scene at one moment; colors are linear RGB, and a source left out gives none.
 
-    Attributes:
-        ambient: (3,) light from all sides, after many reflections.
-        sun_direction: (3,) unit vector from the scene to the sun.
-        sun: (3,) irradiance of a surface that faces the sun.
-        lamps: (M, 3) meters, in the frame of the scene.
-        lamp_power: (M, 3) irradiance at one meter under the lamp.
-        sky_center: (3,) meters, the middle of the skylight.
-        sky_power: (3,) irradiance at one meter under it, were it a point.
-        dome: (3,) irradiance of level ground under the open sky, which is equally bright in all directions.
+    The open sky is equally bright in all directions.
     """
 
-    ambient: Array
-    sun_direction: Array
-    sun: Array
-    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    sky_center: Array = field(default_factory=lambda: np.zeros(3))
-    sky_power: Array = field(default_factory=lambda: np.zeros(3))
-    dome: Array = field(default_factory=lambda: np.zeros(3))
+    ambient: Array  # (3,) light from all sides, after many reflections
+    sun_direction: Array  # (3,) unit vector from the scene to the sun
+    sun: Array  # (3,) irradiance of a surface that faces the sun
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) meters, in the frame of the scene
+    lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) irradiance 1 m under the lamp
+    sky_center: Array = field(default_factory=lambda: np.zeros(3))  # (3,) meters, the middle of the skylight
+    sky_power: Array = field(default_factory=lambda: np.zeros(3))  # (3,) irradiance 1 m under it, were it a point
+    dome: Array = field(default_factory=lambda: np.zeros(3))  # (3,) irradiance of level ground under the sky
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
-    """How the camera of one scan records light.
+    """How the camera of one scan records light."""
 
-    Attributes:
-        gain: from radiance to the range [0, 1] of the sensor.
-        white_balance: (3,) factor on each channel.
-        gamma: the colors are the signal to the power of ``1 / gamma``.
-        noise: standard deviation in the colors, of the range [0, 1].
-    """
-
-    gain: float
-    white_balance: Array
-    gamma: float = DISPLAY_GAMMA
-    noise: float = 0.012
+    gain: float  # from radiance to the range [0, 1] of the sensor
+    white_balance: Array  # (3,) factor on each channel
+    gamma: float = DISPLAY_GAMMA  # the colors are the signal to the power of 1 / gamma
+    noise: float = 0.012  # standard deviation in the colors, of the range [0, 1]
 
 
 class LineOfSight(Protocol):

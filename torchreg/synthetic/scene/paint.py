@@ -18,23 +18,14 @@ from torchreg.synthetic.scene import Array
 
 @dataclass(frozen=True, eq=False)
 class Paint:
-    """The look of ``Q`` surfaces, one row each.
+    """The look of ``Q`` surfaces, one row each."""
 
-    Attributes:
-        pattern: (Q,) int64, index of the name among ``_PATTERNS``.
-        color: (Q, 3) sRGB in [0, 1], the color of most of the surface.
-        accent: (Q, 3) sRGB in [0, 1], the second color of the pattern.
-        scale: (Q,) meters, the size of a tile, letter, plank, good or block.
-        glow: (Q,) light the surface sends out itself, 1 being the illuminance of a well-lit floor.
-        key: (Q,) int64, tells surfaces of equal pattern apart.
-    """
-
-    pattern: Array
-    color: Array
-    accent: Array
-    scale: Array
-    glow: Array
-    key: Array
+    pattern: Array  # (Q,) int64, index of the name among _PATTERNS
+    color: Array  # (Q, 3) sRGB in [0, 1], the color of most of the surface
+    accent: Array  # (Q, 3) sRGB in [0, 1], the second color of the pattern
+    scale: Array  # (Q,) meters, the size of a tile, letter, plank, good or block
+    glow: Array  # (Q,) light the surface sends out itself, 1 being the illuminance of a well-lit floor
+    key: Array  # (Q,) int64, tells surfaces of equal pattern apart
 
     def __len__(self) -> int:
         """The number of surfaces."""

@@ -23,27 +23,17 @@ from torchreg.types.clouds import Clouds
 
 @dataclass(frozen=True, kw_only=True)
 class LaserScanner:
-    """Properties of a scanner.
+    """Properties of a scanner."""
 
-    Attributes:
-        angular_step: degrees between neighboring rays, in azimuth and in elevation.
-        lowest, highest: degrees of elevation; below is the blind cone with the tripod in it.
-        min_range, max_range: meters.
-        sensitivity: 1 finds gray walls that face it up to some 40 m away; four times as much, twice as far.
-        range_noise: meters, standard deviation on a surface 10 m away that faces the scanner.
-        mixed_share: how many of the rays at a depth edge return a point between both surfaces.
-        depth_edge: meters between neighboring rays from which on they count as a depth edge.
-    """
-
-    angular_step: float = 0.4
-    lowest: float = -60.0
-    highest: float = 90.0
-    min_range: float = 0.6
-    max_range: float = 60.0
-    sensitivity: float = 1.0
-    range_noise: float = 0.004
-    mixed_share: float = 0.15
-    depth_edge: float = 0.1
+    angular_step: float = 0.4  # degrees between neighboring rays, in azimuth and in elevation
+    lowest: float = -60.0  # degrees of elevation; below is the blind cone with the tripod in it
+    highest: float = 90.0  # degrees of elevation
+    min_range: float = 0.6  # meters
+    max_range: float = 60.0  # meters
+    sensitivity: float = 1.0  # 1 finds gray walls that face it up to some 40 m away; four times as much, twice as far
+    range_noise: float = 0.004  # meters, standard deviation on a surface 10 m away that faces the scanner
+    mixed_share: float = 0.15  # how many of the rays at a depth edge return a point between both surfaces
+    depth_edge: float = 0.1  # meters between neighboring rays from which on they count as a depth edge
 
 
 def scan(
