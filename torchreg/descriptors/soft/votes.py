@@ -57,17 +57,10 @@ def share_gradient(shares: Shares, grad: Tensor, bandwidth: float) -> ShareGradi
 def bin_shares(
     position: Tensor, bins: int, bandwidth: float, *, edges: Tensor | None = None, circular: bool = False
 ) -> Shares:
-    """The two bins between which every vote is shared.
+    """The two bins between which every vote is shared, of positions (R, K) in [0, 1]; ``bandwidth`` is in (0, 1].
 
-    Args:
-        position: (R, K) in [0, 1].
-        bins: their number.
-        bandwidth: in (0, 1].
-        edges: (R, bins + 1) ascending from 0 to 1, the same in every row; ``None`` for equal bins.
-        circular: whether the last bin borders on the first.
-
-    Returns:
-        Shares (R, K). Gradients flow to positions and edges; they are those of a piecewise linear function.
+    Edges (R, bins + 1) ascend from 0 to 1, the same in every row; ``None`` is for equal bins. Where ``circular``, the
+    last bin borders on the first. Gradients flow to positions and edges: those of a piecewise linear function.
     """
     if edges is None:
         scaled = position * bins

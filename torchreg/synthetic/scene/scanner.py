@@ -44,19 +44,11 @@ def scan(
     scanner: LaserScanner,
     seed: tuple[int, ...],
 ) -> Clouds:
-    """Scan a scene from one station.
+    """One cloud of the points of a scene that come back to a scanner at its pose (4, 4), float64.
 
-    Args:
-        quads: the scene, meters, in the frame of the world.
-        light: the light of the scene.
-        camera: the scanner's camera.
-        T_world_scanner: (4, 4) float64, the pose of the scanner.
-        scanner: its properties.
-        seed: of all noise; how large the noise is does not change which draws are made.
-
-    Returns:
-        One cloud of the points that came back, by elevation from below and then by azimuth: float32, meters, in the
-        frame of the scanner, with colors in steps of 1/255.
+    The scene is in meters, in the frame of the world. The points are ordered by elevation from below and then by
+    azimuth: float32, meters, in the frame of the scanner, with colors in steps of 1/255. All noise comes from the seed;
+    how large it is does not change which draws are made.
     """
     rng = np.random.default_rng(seed)
     caster = Raycaster(quads)
@@ -103,13 +95,9 @@ def ray_directions(scanner: LaserScanner) -> Array:
 
 
 def pose(position: Array, yaw: float, tilt: float, tilt_heading: float) -> Array:
-    """``T_world_scanner`` (4, 4): turned by ``yaw`` about the plumb line, then tilted.
+    """``T_world_scanner`` (4, 4) at ``position`` (3,), meters: turned by ``yaw`` about the plumb line, then tilted.
 
-    Args:
-        position: (3,) meters.
-        yaw: radians.
-        tilt: radians between the scanner's axis and the plumb line.
-        tilt_heading: radians, the azimuth towards which the axis leans.
+    The scanner's axis leans from the plumb line by ``tilt`` towards the azimuth ``tilt_heading``; all in radians.
     """
     heading = yaw_rotation(np.array([tilt_heading]))[0]
     cosine, sine = np.cos(tilt), np.sin(tilt)
