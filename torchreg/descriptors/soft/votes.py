@@ -68,7 +68,7 @@ def bin_shares(
         share = scaled - nearest
         share = share + 0.5 if bandwidth == 1 else hardtanh(share / bandwidth + 0.5, 0, 1)
     else:
-        share, nearest = _between_edges(position, bins, bandwidth, edges, circular)
+        share, nearest = _between_edges(position, bandwidth, edges, circular)
     lower, upper = nearest - 1, nearest
     if circular:
         lower = lower + bins * lower.lt(0).to(lower.dtype)
@@ -76,9 +76,7 @@ def bin_shares(
     return Shares(lower.clamp(min=0).long(), upper.clamp(max=bins - 1).long(), share)
 
 
-def _between_edges(
-    position: Tensor, bins: int, bandwidth: float, edges: Tensor, circular: bool
-) -> tuple[Tensor, Tensor]:
+def _between_edges(position: Tensor, bandwidth: float, edges: Tensor, circular: bool) -> tuple[Tensor, Tensor]:
     """The share of the upper bin, and the edge between whose neighboring centers a vote lies."""
     width = edges[:, 1:] - edges[:, :-1]  # (R, bins)
     before = torch.cat([width[:, -1:] if circular else width[:, :1], width], dim=1)  # (R, bins + 1)
