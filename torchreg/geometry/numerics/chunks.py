@@ -30,7 +30,7 @@ def stable_sum(values: Tensor) -> Tensor:
     """Sum (...) of floating-point values (M, ...) in one fixed order, whatever the number of threads.
 
     A plain ``sum`` of a long vector is split among the threads. Here rows are added in blocks of 1,024, and then the
-    block sums, so that the order follows from the length alone. Zeros for M = 0; gradients flow.
+    block sums, so that the order follows from the length alone. The dtype stays. Zeros for M = 0; gradients flow.
     """
     count = values.shape[0]
     if count == 0:
