@@ -19,11 +19,8 @@ class SeedStream:
     worker the stream starts anew from a draw of that copy and the worker's own seed, which differs between workers and
     between epochs and follows from the ``generator`` of the ``DataLoader`` (or from ``torch.manual_seed``).
 
-    Args:
-        generator: a CPU generator, advanced by every seed; ``None`` makes one with seed 0.
-
-    Raises:
-        ValueError: a generator on another device.
+    The generator is one of the CPU and advanced by every seed; ``None`` makes one with seed 0. Another device raises
+    ``ValueError``.
     """
 
     def __init__(self, generator: torch.Generator | None) -> None:

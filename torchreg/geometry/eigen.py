@@ -29,15 +29,10 @@ _CLOSED_GAP = 1e-12
 
 
 def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """Eigenvalues and eigenvectors of symmetric matrices.
+    """Ascending eigenvalues (..., 3), and unit eigenvectors as columns (..., 3, 3), of symmetric matrices (..., 3, 3).
 
-    Args:
-        matrix: (..., 3, 3) floating point, symmetric; only the upper triangle is read.
-
-    Returns:
-        values (..., 3) ascending, and vectors (..., 3, 3) whose columns are unit eigenvectors in that order
-        (of arbitrary sign). Zero and non-finite matrices give the identity or NaN, never an error. No gradients
-        flow; ``least_eigenvector`` adds them.
+    Only the upper triangle is read, of any floating point; signs are arbitrary. Zero and non-finite matrices give the
+    identity or NaN, never an error. No gradients flow; ``least_eigenvector`` adds them.
     """
     expect(matrix.shape[-2:] == (3, 3), "matrix", "(..., 3, 3)", matrix)
     matrix = matrix.detach()
@@ -54,16 +49,11 @@ def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def least_eigenvector(matrix: Tensor, values: Tensor, vectors: Tensor) -> Tensor:
-    """The first eigenvector with its first and second derivatives with respect to the matrix.
+    """The first eigenvector (..., 3) with its first and second derivatives with respect to the matrix.
 
-    Args:
-        matrix: C (..., 3, 3) float64, symmetric, with gradient.
-        values: (..., 3) its eigenvalues, ascending, without gradient.
-        vectors: (..., 3, 3) whose columns are its unit eigenvectors, without gradient.
-
-    Returns:
-        (..., 3), equal to ``vectors[..., 0]``: the steps are taken relative to their own value. The sign is that of
-        ``vectors``. Gradients are finite for any finite matrix.
+    From a symmetric float64 matrix C (..., 3, 3) with gradient and, without one, its ascending eigenvalues (..., 3) and
+    unit eigenvectors (columns of (..., 3, 3)). Equal to ``vectors[..., 0]``, sign included: the steps are taken
+    relative to their own value. Gradients are finite for any finite matrix.
     """
     gap = values[..., 1:] - values[..., :1]  # (..., 2)
     least = (_CLOSED_GAP * values[..., 2:].abs()).clamp(min=1e-290)

@@ -15,25 +15,11 @@ BITS = 21  # per axis: three times 21 bits fill an int64 without its sign
 
 
 def morton_order(points: Tensor, offsets: Tensor) -> Tensor:
-    """Find the permutation that puts the points of every cloud in Morton order; clouds stay in their place.
+    """Rows (P,) int64 that put ``points`` (P, 3) of any unit in Morton order; the clouds stay in place.
 
-    Every cloud is scaled by the longest edge of its bounding box, so its order does not depend on the batch. Points of
-    equal code keep their order. No gradient flows.
-
-    Args:
-        points: (P, 3), any unit.
-        offsets: (B+1,) int64, where the clouds begin and end.
-
-    Returns:
-        (P,) int64: ``points[order]`` is in Morton order.
-
-    Raises:
-        ValueError: a shape or dtype other than stated.
-
-    Example:
-        >>> points = torch.tensor([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0], [1.0, 0.0, 0.0]])
-        >>> morton_order(points, torch.tensor([0, 3])).tolist()
-        [0, 2, 1]
+    ``offsets`` (B+1,) int64 are where the clouds begin and end. Every cloud is scaled by the longest edge of its
+    bounding box, so its order does not depend on the batch. Points of equal code keep their order. No gradient flows.
+    Raises ``ValueError`` at another shape or dtype.
     """
     expect_shape(points, "points", ("P", 3), "floating")
     order = torch.empty(points.shape[0], dtype=torch.int64, device=points.device)

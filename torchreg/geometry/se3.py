@@ -52,18 +52,7 @@ def apply(T: Tensor, points: Tensor) -> Tensor:
 
 
 def quaternion_wxyz(rotation: Tensor) -> Tensor:
-    """The unit quaternion (w, x, y, z) of rotations, with w >= 0.
-
-    Args:
-        rotation: (..., 3, 3) of any floating-point dtype.
-
-    Returns:
-        (..., 4) of the same dtype.
-
-    Example:
-        >>> quaternion_wxyz(torch.eye(3))
-        tensor([1., 0., 0., 0.])
-    """
+    """The unit quaternions (w, x, y, z), (..., 4) with w >= 0, of rotations (..., 3, 3); any floating dtype stays."""
     from kornia.geometry.conversions import rotation_matrix_to_quaternion
 
     # eps=0: kornia below 0.9 adds it under the root, which costs half the digits of float64.

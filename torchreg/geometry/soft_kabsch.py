@@ -28,26 +28,11 @@ from torchreg.geometry.numerics.lengths import safe_sqrt
 
 
 def soft_kabsch(source: Tensor, target: Tensor, confidence: Tensor) -> Tensor:
-    """Least-squares rigid transforms over all pairs of points, batched.
+    """T_target_source (..., 4, 4) of least squares over all pairs of points (..., N, 3) and (..., M, 3), meters.
 
-    Args:
-        source: (..., N, 3) meters.
-        target: (..., M, 3) meters.
-        confidence: (..., N, M), at least 0: the weight of every pair.
-
-    Returns:
-        T_target_source (..., 4, 4) of the dtype of ``source``, as of ``kabsch``: one of the best where the pairs do not
-        determine the rotation. Gradients flow to all inputs, of second order too, finite everywhere.
-
-    Raises:
-        ValueError: shapes do not fit.
-
-    Example:
-        >>> import torch
-        >>> p = torch.rand(10, 3, dtype=torch.float64)
-        >>> T = soft_kabsch(p, p.flip(0) + 1, torch.eye(10, dtype=torch.float64).flip(0))
-        >>> torch.allclose(T[:3, 3], torch.ones(3, dtype=torch.float64))
-        True
+    ``confidence`` (..., N, M), at least 0, is the weight of every pair. The dtype is that of ``source``; as of
+    ``kabsch``, one of the best where the pairs do not determine the rotation. Gradients flow to all inputs, of second
+    order too, finite everywhere. Raises ``ValueError`` where shapes do not fit.
     """
     expect(source.ndim >= 2 and source.shape[-1] == 3, "source", "(..., N, 3)", source)
     lead = tuple(source.shape[:-2])
@@ -70,31 +55,14 @@ def soft_kabsch(source: Tensor, target: Tensor, confidence: Tensor) -> Tensor:
 def robust_kabsch(
     source: Tensor, target: Tensor, confidence: Tensor, *, scale: float | Tensor, rounds: int = 5
 ) -> Tensor:
-    """Rigid transforms over all pairs of points, most of which may be wrong, batched.
+    """T_target_source (..., 4, 4) over all pairs of points, as ``soft_kabsch``, where most of them may be wrong.
 
-    Pairs that lie far apart after a round's pose count less in the next.
-
-    Args:
-        source: (..., N, 3) meters.
-        target: (..., M, 3) meters.
-        confidence: (..., N, M), at least 0: the weight of every pair before its distance is known.
-        scale: meters, above 0, a number or (...): a pair this far apart counts a quarter in the last round.
-        rounds: of weighing and solving after the first pose; each costs about N M operations.
-
-    Returns:
-        T_target_source (..., 4, 4) of the dtype of ``source``. Where fewer right than wrong pairs agree it may be any
-        local minimum. Gradients flow to all inputs through all rounds, of second order too, finite everywhere; the
-        backward pass computes rounds again, so memory stays that of one.
-
-    Raises:
-        ValueError: shapes do not fit, or numbers out of their range.
-
-    Example:
-        >>> import torch
-        >>> p = torch.rand(10, 3, dtype=torch.float64)
-        >>> T = robust_kabsch(p, p + 1, 0.1 + torch.eye(10, dtype=torch.float64), scale=0.01)
-        >>> torch.allclose(T[:3, 3], torch.ones(3, dtype=torch.float64), atol=1e-3)
-        True
+    ``confidence`` weighs pairs before their distance is known; those that lie far apart after a round's pose count less
+    in the next, a quarter in the last round at a distance of ``scale``, meters above 0, a number or (...). Each of the
+    ``rounds`` of weighing and solving after the first pose costs about N M operations. Where fewer right than wrong
+    pairs agree, the pose may be any local minimum. Gradients flow to all inputs through all rounds, of second order
+    too, finite everywhere; the backward pass computes rounds again, so memory stays that of one. Raises ``ValueError``
+    where shapes do not fit or numbers are out of their range.
     """
     at_least(rounds, "rounds", 1)
     T = soft_kabsch(source, target, confidence)

@@ -89,15 +89,10 @@ def prepare_pair(
 
 
 def cropped(pair: PreparedPair, max_points: int, generator: torch.Generator) -> PreparedPair:
-    """The part of a pair around one place that both scans see, to bound time and memory of training.
+    """The points of a pair nearest to one place that both scans see, to bound time and memory of training.
 
-    Args:
-        pair: returned unchanged where no scan has more than ``max_points``.
-        max_points: of either scan.
-        generator: draws the place among the source points that have a partner within 2 voxels.
-
-    Returns:
-        A pair whose scans hold the points nearest to that place. Points at the rim see fewer neighbors than before.
+    A pair without more than ``max_points`` in either scan is returned unchanged. The place is drawn among the source
+    points that have a partner within 2 voxels. Points at the rim see fewer neighbors than before.
     """
     at_least(max_points, "max_points", 1)
     if max(len(side.cloud.points) for side in (pair.source, pair.target)) <= max_points:

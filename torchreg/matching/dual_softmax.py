@@ -23,28 +23,14 @@ def dual_softmax(
     source_valid: Tensor | None = None,
     target_valid: Tensor | None = None,
 ) -> Tensor:
-    """Confidences from scores by a softmax over rows times a softmax over columns.
+    """Confidences (..., N, M) in [0, 1] from scores, by a softmax over rows times a softmax over columns.
 
-    Args:
-        scores: (..., N, M), the larger the more alike, divided by a temperature already.
-        dustbin: score of having no partner, a number or a tensor of one element; ``None``: every point has to prefer
-            some partner.
-        source_valid: (..., N) bool, rows that take part; ``None``: all.
-        target_valid: (..., M) bool, columns likewise.
-
-    Returns:
-        (..., N, M) in [0, 1], zero in rows and columns that do not take part, whatever stands there (NaN too). Rows
-        and columns sum to 1 at most. As scores grow, entries of mutual best pairs go to 1 and all others to 0.
-        Gradients flow to scores and dustbin, of any order, finite for equal and for huge scores and for empty sides.
-
-    Raises:
-        ValueError: shapes or dtypes do not fit.
-
-    Example:
-        >>> import torch
-        >>> dual_softmax(torch.zeros(2, 2))
-        tensor([[0.2500, 0.2500],
-                [0.2500, 0.2500]])
+    Scores (..., N, M) are the larger the more alike, divided by a temperature already. ``dustbin`` is the score of
+    having no partner, a number or a tensor of one element; with ``None`` every point has to prefer some partner. Rows
+    and columns that do not take part by ``source_valid`` (..., N) and ``target_valid`` (..., M), bool, are zero,
+    whatever stands there (NaN too); with ``None`` all take part. Rows and columns sum to 1 at most. As scores grow,
+    entries of mutual best pairs go to 1 and all others to 0. Gradients flow to scores and dustbin, of any order, finite
+    for equal and for huge scores and for empty sides. Raises ``ValueError`` where shapes or dtypes do not fit.
     """
     masks = score_masks(scores, source_valid, target_valid)
     no_partner = None if dustbin is None else one_number(dustbin, "dustbin", scores)

@@ -32,29 +32,14 @@ def sinkhorn(
     source_valid: Tensor | None = None,
     target_valid: Tensor | None = None,
 ) -> Tensor:
-    """Confidences from scores by optimal transport: who matches whom where every point has one partner or none.
+    """Confidences (..., N, M) from scores by optimal transport: every point has one partner or none.
 
-    Args:
-        scores: (..., N, M), the larger the more alike, divided by a temperature already.
-        dustbin: score of having no partner, a number or a tensor of one element, divided likewise.
-        iterations: of Sinkhorn; the larger the differences of scores, the more are needed.
-        source_valid: (..., N) bool, rows that take part; ``None``: all.
-        target_valid: (..., M) bool, columns likewise.
-
-    Returns:
-        (..., N, M) not below 0, zero in rows and columns that do not take part, whatever stands there (NaN too).
-        Columns sum to 1 at most; rows do as the iterations settle. What is missing to 1 went to the dustbin.
-        Gradients flow to scores and dustbin, those of the iterations done, of any order (second ones keep all
-        intermediates). They are finite for equal and for huge scores and for empty sides.
-
-    Raises:
-        ValueError: shapes or dtypes do not fit, or ``iterations`` below 1.
-
-    Example:
-        >>> import torch
-        >>> sinkhorn(torch.tensor([[9.0, 0.0], [0.0, -9.0]]), dustbin=0.0).round(decimals=1)
-        tensor([[1., 0.],
-                [0., 0.]])
+    Scores and masks are those of ``dual_softmax``; so is ``dustbin``, divided by the temperature too, but it is not
+    optional. The larger the differences of scores, the more iterations are needed. Confidences are not below 0, and
+    zero in rows and columns that do not take part, whatever stands there (NaN too). Columns sum to 1 at most; rows do
+    as the iterations settle. What is missing to 1 went to the dustbin. Gradients flow to scores and dustbin, those of
+    the iterations done, of any order (second ones keep all intermediates), finite for equal and for huge scores and for
+    empty sides. Raises ``ValueError`` where shapes or dtypes do not fit, or with ``iterations`` below 1.
     """
     masks = score_masks(scores, source_valid, target_valid)
     at_least(iterations, "iterations", 1)

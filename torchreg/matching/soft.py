@@ -79,37 +79,19 @@ def soft_match(
 
 
 class SoftTargets(NamedTuple):
-    """One expected partner per source point of a packed batch.
+    """One expected partner per source point of a packed batch."""
 
-    Attributes:
-        points: (P, 3) meters, in the frame of the target points given; zeros where the weight is 0.
-        weights: (P,) the confidence that the point has a partner at all: the sum of its row.
-    """
-
-    points: Tensor
-    weights: Tensor
+    points: Tensor  # (P, 3) meters, in the frame of the target points given; zeros where the weight is 0
+    weights: Tensor  # (P,) the confidence that the point has a partner at all: the sum of its row
 
 
 def soft_targets(matches: SoftCorrespondences, target: Tensor) -> SoftTargets:
-    """The expected position of every source point's partner.
+    """The expected partner of every source point among the points ``target`` (Q, 3) of the packed target clouds.
 
-    Args:
-        matches: of B pairs.
-        target: (Q, 3) points of the packed target clouds, such as ``Clouds.points``.
-
-    Returns:
-        q_i = sum_j C_ij q_j / w_i and w_i = sum_j C_ij. As minimizing sum_ij C_ij |R p_i + t - q_j|^2 and minimizing
-        sum_i w_i |R p_i + t - q_i|^2 differ by a constant alone, ``kabsch`` with these is the least-squares pose over
-        all pairs. Gradients flow to confidences and points; they are zero where a weight is 0.
-
-    Raises:
-        ValueError: another number of points than the matches have targets.
-
-    Example:
-        >>> import torch
-        >>> both = SoftCorrespondences((torch.tensor([[0.2, 0.2]]),), torch.tensor([0, 1]), torch.tensor([0, 2]))
-        >>> soft_targets(both, torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])).points
-        tensor([[0.5000, 0.0000, 0.0000]])
+    q_i = sum_j C_ij q_j / w_i and w_i = sum_j C_ij. As minimizing sum_ij C_ij |R p_i + t - q_j|^2 and minimizing
+    sum_i w_i |R p_i + t - q_i|^2 differ by a constant alone, ``kabsch`` with these is the least-squares pose over all
+    pairs. Gradients flow to confidences and points; they are zero where a weight is 0. Raises ``ValueError`` where the
+    number of points is not that of the matches' targets.
     """
     expect_shape(target, "target", ("Q", 3))
     expected = int(matches.target_offsets[-1])

@@ -32,17 +32,12 @@ def search_cells(
     max_neighbors: int,
     max_bytes: int = 256 * 2**20,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The K nearest with d^2 < ``limits[b]`` among the points of the same cloud.
+    """Index, valid and sq_distance (P, K), as ``Neighborhoods`` holds them, of the nearest in every point's own cloud.
 
-    Args:
-        points: (P, 3) float32 or float64 on any device.
-        spans: the (begin, end) rows of the B clouds.
-        limits: B squared radii in the precision of ``points``.
-        max_neighbors: K. Of points that tie for the last place those of smaller index stay.
-        max_bytes: bounds the memory of a chunk of candidates; the result does not depend on it.
-
-    Returns:
-        index (P, K) int64, valid (P, K) bool and sq_distance (P, K), as ``Neighborhoods`` holds them.
+    Points (P, 3) are float32 or float64 on any device; ``spans`` are the (begin, end) rows of the B clouds, ``limits``
+    their squared radii in the precision of the points: d^2 < ``limits[b]``. K is ``max_neighbors``; of points that tie
+    for the last place those of smaller index stay. ``max_bytes`` bounds the memory of a chunk of candidates; the result
+    does not depend on it.
     """
     rows, device = points.shape[0], points.device
     index = torch.arange(rows, device=device)[:, None].repeat(1, max_neighbors)

@@ -13,15 +13,10 @@ from torchreg.neighborhoods.point_index import nearest
 
 
 class Coverage(NamedTuple):
-    """Coverage of one source by one target.
+    """Coverage of one source by one target."""
 
-    Attributes:
-        fitness: scalar float64, share of source points with a target point nearer than the threshold.
-        inlier_rmse: scalar float64, meters, root mean square of those distances; 0 where there are none.
-    """
-
-    fitness: Tensor
-    inlier_rmse: Tensor
+    fitness: Tensor  # scalar float64, share of source points with a target point nearer than the threshold
+    inlier_rmse: Tensor  # scalar float64, meters, root mean square of those distances; 0 where there are none
 
 
 def coverage(source: Tensor, target: Tensor, rotation: Tensor, translation: Tensor, threshold: float) -> Coverage:

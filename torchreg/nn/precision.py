@@ -43,7 +43,6 @@ def widened(value: Tensor) -> Tensor:
 
 
 def _device_type(args: tuple[object, ...]) -> str:
-    """Type of the device of the first argument."""
     first = args[0] if args else None
     if isinstance(first, Clouds):
         return first.device.type

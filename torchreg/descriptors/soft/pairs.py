@@ -95,10 +95,9 @@ def arranged_pair(query: Oriented, neighbor: Oriented) -> ArrangedPair:
 
 
 def pair_positions(pair: ArrangedPair) -> tuple[Tensor, Tensor, Tensor]:
-    """f1, f2 and f3 of pairs, each scaled to [0, 1] of its range.
+    """f1, f2 and f3 (R, K) of pairs, scaled to [0, 1] from [-pi, pi], [-1, 1] and [-1, 1].
 
-    Returns:
-        Three tensors (R, K): f1 over [-pi, pi], f2 and f3 over [-1, 1]. Gradients flow to points and normals.
+    Gradients flow to points and normals.
     """
     f1 = angle(pair.sine * pair.decided, pair.cosine * pair.decided + (1 - pair.decided))
     f2 = pair.f2 * (pair.proper * 0.5)

@@ -53,19 +53,12 @@ def by_rows(
     *,
     derivative: Derivative | None = None,
 ) -> Tensor:
-    """A kernel over all neighborhoods.
+    """Rows (P, D) of a kernel over P neighborhoods of a ``table`` (P, C), a piece at a time.
 
-    Args:
-        kernel: from a piece to (r, D).
-        table: (P, C), what is gathered.
-        near: P neighborhoods.
-        weights: (P, K) neighbor weights, multiplied into the votes.
-        settings: (E,) numbers handed to every row.
-        derivative: of the kernel, by hand; ``None`` leaves it to autograd, as do settings.
-
-    Returns:
-        (P, D). Gradients flow to ``table``, ``weights`` and ``settings``, of any order (second ones through plain
-        autograd, which keeps all intermediates). The same bits for any pieces and number of threads.
+    Neighbor ``weights`` (P, K) multiply the votes, and every row is handed the ``settings`` (E,). Gradients flow to all
+    three, of any order (second ones through plain autograd, which keeps all intermediates); the first by
+    ``derivative``, but by autograd where that is ``None`` or there are settings. The same bits for any pieces and
+    number of threads.
     """
     if settings is not None:
         settings = settings.expand(len(table), -1) if transformed(settings) else _Repeated.call(settings, len(table))

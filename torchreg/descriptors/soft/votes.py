@@ -57,17 +57,10 @@ def share_gradient(shares: Shares, grad: Tensor, bandwidth: float) -> ShareGradi
 def bin_shares(
     position: Tensor, bins: int, bandwidth: float, *, edges: Tensor | None = None, circular: bool = False
 ) -> Shares:
-    """The two bins between which every vote is shared.
+    """The two bins between which every vote is shared, of positions (R, K) in [0, 1]; ``bandwidth`` is in (0, 1].
 
-    Args:
-        position: (R, K) in [0, 1].
-        bins: their number.
-        bandwidth: in (0, 1].
-        edges: (R, bins + 1) ascending from 0 to 1, the same in every row; ``None`` for equal bins.
-        circular: whether the last bin borders on the first.
-
-    Returns:
-        Shares (R, K). Gradients flow to positions and edges; they are those of a piecewise linear function.
+    Edges (R, bins + 1) ascend from 0 to 1, the same in every row; ``None`` is for equal bins. Where ``circular``, the
+    last bin borders on the first. Gradients flow to positions and edges: those of a piecewise linear function.
     """
     if edges is None:
         scaled = position * bins
@@ -75,7 +68,7 @@ def bin_shares(
         share = scaled - nearest
         share = share + 0.5 if bandwidth == 1 else hardtanh(share / bandwidth + 0.5, 0, 1)
     else:
-        share, nearest = _between_edges(position, bins, bandwidth, edges, circular)
+        share, nearest = _between_edges(position, bandwidth, edges, circular)
     lower, upper = nearest - 1, nearest
     if circular:
         lower = lower + bins * lower.lt(0).to(lower.dtype)
@@ -83,9 +76,7 @@ def bin_shares(
     return Shares(lower.clamp(min=0).long(), upper.clamp(max=bins - 1).long(), share)
 
 
-def _between_edges(
-    position: Tensor, bins: int, bandwidth: float, edges: Tensor, circular: bool
-) -> tuple[Tensor, Tensor]:
+def _between_edges(position: Tensor, bandwidth: float, edges: Tensor, circular: bool) -> tuple[Tensor, Tensor]:
     """The share of the upper bin, and the edge between whose neighboring centers a vote lies."""
     width = edges[:, 1:] - edges[:, :-1]  # (R, bins)
     before = torch.cat([width[:, -1:] if circular else width[:, :1], width], dim=1)  # (R, bins + 1)

@@ -27,16 +27,10 @@ def row_chunks(rows: int, width: int, elements: int = CACHE_ELEMENTS) -> Iterato
 
 
 def stable_sum(values: Tensor) -> Tensor:
-    """Sum over the first dimension in one fixed order, whatever the number of threads.
+    """Sum (...) of floating-point values (M, ...) in one fixed order, whatever the number of threads.
 
-    A plain ``sum`` of a long vector is split among the threads. Here rows are added in blocks of 1,024, and
-    then the block sums, so that the order follows from the length alone.
-
-    Args:
-        values: (M, ...) floating point.
-
-    Returns:
-        (...) of the same dtype; zeros for M = 0. Gradients flow.
+    A plain ``sum`` of a long vector is split among the threads. Here rows are added in blocks of 1,024, and then the
+    block sums, so that the order follows from the length alone. The dtype stays. Zeros for M = 0; gradients flow.
     """
     count = values.shape[0]
     if count == 0:

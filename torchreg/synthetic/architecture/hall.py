@@ -17,33 +17,20 @@ from torchreg.synthetic.scene.quads import Quads, at_height, boxes, cylinders, r
 
 @dataclass(frozen=True, kw_only=True)
 class HallPlan:
-    """The sizes of a hall, in meters unless stated.
+    """The sizes of a hall, in meters unless stated."""
 
-    Attributes:
-        length, width, height: between the end walls, between the shop fronts, from floor to ceiling.
-        bays: shop fronts along each side, a count.
-        opening: height of the shops' openings.
-        depth: how far shops reach behind their fronts.
-        sign: height of the sign over each opening.
-        column_y: distance of both rows of columns from the middle of the hall.
-        column_size: diameter or edge.
-        round_columns: cylinders rather than boxes.
-        skylight: length and width of the window in the ceiling.
-        wall: (1, 3) sRGB, the color of all fronts.
-    """
-
-    length: float
-    width: float
-    height: float
-    bays: int
-    opening: float
-    depth: float
-    sign: float
-    column_y: float
-    column_size: float
-    round_columns: bool
-    skylight: tuple[float, float]
-    wall: Array
+    length: float  # between the end walls
+    width: float  # between the shop fronts
+    height: float  # from floor to ceiling
+    bays: int  # shop fronts along each side, a count
+    opening: float  # height of the shops' openings
+    depth: float  # how far shops reach behind their fronts
+    sign: float  # height of the sign over each opening
+    column_y: float  # distance of both rows of columns from the middle of the hall
+    column_size: float  # diameter or edge
+    round_columns: bool  # cylinders rather than boxes
+    skylight: tuple[float, float]  # length and width of the window in the ceiling
+    wall: Array  # (1, 3) sRGB, the color of all fronts
 
     @property
     def pitch(self) -> float:

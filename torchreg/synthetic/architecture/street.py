@@ -25,25 +25,15 @@ _CELL = 1.0  # meters, of the lawn's height field
 
 @dataclass(frozen=True, kw_only=True)
 class StreetPlan:
-    """The sizes of a road, in meters unless stated. Of a pair, the first is the side of negative y.
+    """The sizes of a road, in meters unless stated. Of a pair, the first is the side of negative y."""
 
-    Attributes:
-        length: of what is built; more buildings close both ends.
-        width: of the lanes that cars drive on.
-        parking: whether there is a lane for parked cars.
-        pavement: width of the pavements.
-        lawn: width of the lawns, between pavement and buildings.
-        slot: length of one parking place.
-        crossing: x of the zebra crossing.
-    """
-
-    length: float
-    width: float
-    parking: tuple[bool, bool]
-    pavement: tuple[float, float]
-    lawn: tuple[float, float]
-    slot: float
-    crossing: float
+    length: float  # of what is built; more buildings close both ends
+    width: float  # of the lanes that cars drive on
+    parking: tuple[bool, bool]  # whether there is a lane for parked cars
+    pavement: tuple[float, float]  # width of the pavements
+    lawn: tuple[float, float]  # width of the lawns, between pavement and buildings
+    slot: float  # length of one parking place
+    crossing: float  # x of the zebra crossing
 
     def kerb(self, side: int) -> float:
         """Distance of the kerb from the middle of the road on a side, -1 or 1."""

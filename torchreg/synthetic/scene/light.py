@@ -20,42 +20,27 @@ DISPLAY_GAMMA = 2.2
 class Light:
     """All light of a scene at one moment; colors are linear RGB, and a source left out gives none.
 
-    Attributes:
-        ambient: (3,) light from all sides, after many reflections.
-        sun_direction: (3,) unit vector from the scene to the sun.
-        sun: (3,) irradiance of a surface that faces the sun.
-        lamps: (M, 3) meters, in the frame of the scene.
-        lamp_power: (M, 3) irradiance at one meter under the lamp.
-        sky_center: (3,) meters, the middle of the skylight.
-        sky_power: (3,) irradiance at one meter under it, were it a point.
-        dome: (3,) irradiance of level ground under the open sky, which is equally bright in all directions.
+    The open sky is equally bright in all directions.
     """
 
-    ambient: Array
-    sun_direction: Array
-    sun: Array
-    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    sky_center: Array = field(default_factory=lambda: np.zeros(3))
-    sky_power: Array = field(default_factory=lambda: np.zeros(3))
-    dome: Array = field(default_factory=lambda: np.zeros(3))
+    ambient: Array  # (3,) light from all sides, after many reflections
+    sun_direction: Array  # (3,) unit vector from the scene to the sun
+    sun: Array  # (3,) irradiance of a surface that faces the sun
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) meters, in the frame of the scene
+    lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) irradiance 1 m under the lamp
+    sky_center: Array = field(default_factory=lambda: np.zeros(3))  # (3,) meters, the middle of the skylight
+    sky_power: Array = field(default_factory=lambda: np.zeros(3))  # (3,) irradiance 1 m under it, were it a point
+    dome: Array = field(default_factory=lambda: np.zeros(3))  # (3,) irradiance of level ground under the sky
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
-    """How the camera of one scan records light.
+    """How the camera of one scan records light."""
 
-    Attributes:
-        gain: from radiance to the range [0, 1] of the sensor.
-        white_balance: (3,) factor on each channel.
-        gamma: the colors are the signal to the power of ``1 / gamma``.
-        noise: standard deviation in the colors, of the range [0, 1].
-    """
-
-    gain: float
-    white_balance: Array
-    gamma: float = DISPLAY_GAMMA
-    noise: float = 0.012
+    gain: float  # from radiance to the range [0, 1] of the sensor
+    white_balance: Array  # (3,) factor on each channel
+    gamma: float = DISPLAY_GAMMA  # the colors are the signal to the power of 1 / gamma
+    noise: float = 0.012  # standard deviation in the colors, of the range [0, 1]
 
 
 class LineOfSight(Protocol):
@@ -73,16 +58,11 @@ def indoor_light(
 ) -> Light:
     """Lamps, and daylight through a window in the ceiling.
 
-    On a sunny day the sun falls through the skylight, the sky sends more light, and the lamps are dimmed; on
-    a cloudy day the sky is weaker and bluer, and the lamps are up.
-
-    Args:
-        lamps: (M, 3) meters.
-        lamp_power: (M,) irradiance at one meter under each lamp on a day between sunny and cloudy.
-        sky_center: (3,) meters, the middle of the skylight.
-        sky_area: square meters of the skylight.
-        weather: 1 is a sunny day, -1 a cloudy one.
-        rng: draws the tint of each lamp and where the sun stands; the same draws whatever the weather.
+    On a sunny day (``weather`` 1) the sun falls through the skylight, the sky sends more light, and the lamps are
+    dimmed; on a cloudy day (-1) the sky is weaker and bluer, and the lamps are up. ``lamp_power`` (M,) is the
+    irradiance at one meter under each of the ``lamps`` (M, 3), meters, on a day in between; the skylight has
+    ``sky_area`` square meters about its middle ``sky_center`` (3,), meters. ``rng`` draws the tint of each lamp and
+    where the sun stands; the same draws whatever the weather.
     """
     tint = np.array([1.0, 0.92, 0.8]) * np.exp(0.06 * rng.standard_normal((len(lamps), 3)))
     bright = max(0.0, 0.5 + 0.5 * weather)
@@ -115,16 +95,10 @@ def daylight(weather: float, rng: np.random.Generator) -> Light:
 
 
 def irradiance(points: Array, normals: Array, light: Light, visibility: LineOfSight) -> Array:
-    """The light that falls on surfaces; the sun, both skies and the strongest lamp at each point cast shadows.
+    """The light (P, 3), float64 linear RGB, that falls on surfaces at points (P, 3), meters in the frame of the scene.
 
-    Args:
-        points: (P, 3) meters, in the frame of the scene.
-        normals: (P, 3) of unit length, on the visible side.
-        light: the lamps, the sky and the sun.
-        visibility: of the scene, for the shadows.
-
-    Returns:
-        (P, 3) float64, linear RGB.
+    The normals (P, 3), of unit length, are on the visible side. The sun, both skies and the strongest lamp at each
+    point cast shadows.
     """
     # Floors and what faces the lamps pass light on upwards; walls get the mean.
     total = light.ambient * (1 + 0.15 * normals[:, 2:])
@@ -142,12 +116,9 @@ def irradiance(points: Array, normals: Array, light: Light, visibility: LineOfSi
 def exposed_camera(light: Light, probes: Array, relight: float, rng: np.random.Generator, *, sunlit: float) -> Camera:
     """A camera set for the light, with errors of its own in exposure, white balance and gamma.
 
-    Args:
-        light: what it is exposed for.
-        probes: (P, 3) meters, where the light is metered, facing up.
-        relight: the size of the errors; 0 makes all cameras in one light alike.
-        rng: the same draws whatever ``relight``.
-        sunlit: the share of the sun's light that is metered: little of a hall is sunlit.
+    The light is metered at ``probes`` (P, 3), meters, facing up, with the share ``sunlit`` of the sun's: little of a
+    hall is sunlit. ``relight`` is the size of the errors; 0 makes all cameras in one light alike. ``rng`` makes the
+    same draws whatever it is.
     """
     up = np.broadcast_to((0.0, 0.0, 1.0), probes.shape)
     sunless = replace(light, sun=np.zeros(3))

@@ -18,23 +18,14 @@ from torchreg.synthetic.scene import Array
 
 @dataclass(frozen=True, eq=False)
 class Paint:
-    """The look of ``Q`` surfaces, one row each.
+    """The look of ``Q`` surfaces, one row each."""
 
-    Attributes:
-        pattern: (Q,) int64, index of the name among ``_PATTERNS``.
-        color: (Q, 3) sRGB in [0, 1], the color of most of the surface.
-        accent: (Q, 3) sRGB in [0, 1], the second color of the pattern.
-        scale: (Q,) meters, the size of a tile, letter, plank, good or block.
-        glow: (Q,) light the surface sends out itself, 1 being the illuminance of a well-lit floor.
-        key: (Q,) int64, tells surfaces of equal pattern apart.
-    """
-
-    pattern: Array
-    color: Array
-    accent: Array
-    scale: Array
-    glow: Array
-    key: Array
+    pattern: Array  # (Q,) int64, index of the name among _PATTERNS
+    color: Array  # (Q, 3) sRGB in [0, 1], the color of most of the surface
+    accent: Array  # (Q, 3) sRGB in [0, 1], the second color of the pattern
+    scale: Array  # (Q,) meters, the size of a tile, letter, plank, good or block
+    glow: Array  # (Q,) light the surface sends out itself, 1 being the illuminance of a well-lit floor
+    key: Array  # (Q,) int64, tells surfaces of equal pattern apart
 
     def __len__(self) -> int:
         """The number of surfaces."""
@@ -60,15 +51,11 @@ def paint(
     scale: float = 0.5,
     glow: float = 0.0,
 ) -> Paint:
-    """Paint for ``count`` surfaces, each with a key of its own.
+    """Paint for ``count`` surfaces, each with a key of its own that ``rng`` draws.
 
-    Args:
-        rng: draws the keys.
-        color: sRGB, (3,) for all surfaces or (Q, 3).
-        accent: the pattern's second color, as ``color``; ``None`` is a darker shade of it.
-        count: how many surfaces, ``Q``; ``None`` is the number of rows of ``color``.
-        pattern: of all surfaces, a name in ``_PATTERNS``.
-        scale, glow: of all surfaces, see ``Paint``.
+    ``color`` is sRGB, (3,) for all surfaces or (Q, 3), and ``count`` by default the number of its rows; the pattern's
+    second color, ``accent``, likewise, by default a darker shade. ``pattern``, a name in ``_PATTERNS``, ``scale`` and
+    ``glow`` (see ``Paint``) are of all surfaces.
     """
     color = np.atleast_2d(np.asarray(color, dtype=np.float64))
     count = len(color) if count is None else count
@@ -120,15 +107,7 @@ def from_hsv(hue: Array, saturation: Array, value: Array) -> Array:
 
 
 def albedo(paint: Paint, uv: Array) -> Array:
-    """The color of surfaces at points on them.
-
-    Args:
-        paint: ``P`` rows, the paint at each point.
-        uv: (P, 2) meters, where on its surface each point lies.
-
-    Returns:
-        (P, 3) float64, sRGB in [0, 1].
-    """
+    """The color (P, 3), float64 sRGB in [0, 1], of P rows of ``paint``, each at a point ``uv`` (P, 2) on it, meters."""
     color = paint.color.copy()
     for pattern, draw in enumerate(_PATTERNS.values()):
         rows = np.flatnonzero(paint.pattern == pattern)

@@ -32,14 +32,11 @@ class Pieces(NamedTuple):
 def scatter(
     kinds: Sequence[Pieces], draw_places: DrawPlaces, taken: Array, stations: Sequence[Array], rng: np.random.Generator
 ) -> Contents:
-    """The pieces that the source scan and the target scan see.
+    """The pieces that the source scan and the target scan see, at random places.
 
-    Args:
-        kinds: what to place, and how many of each.
-        draw_places: random places (N, 2) for a piece of a radius in meters; the first that is free is taken.
-        taken: (M, 3), x, y and radius of what already stands there.
-        stations: poses (4, 4) of the scanners; what would stand right beside one is left out of both scans.
-        rng: the same draws wherever the stations are.
+    ``draw_places`` draws places (N, 2) for a piece of a radius in meters, of which the first free one is taken;
+    ``taken`` (M, 3) is x, y and radius of what already stands there. What would stand right beside a scanner, whose
+    poses (4, 4) are ``stations``, is left out of both scans; ``rng`` makes the same draws wherever they are.
     """
     contents: Contents = ([], [])
     for kind in kinds:

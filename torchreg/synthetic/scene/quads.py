@@ -18,17 +18,11 @@ from torchreg.synthetic.scene.paint import Paint
 
 @dataclass(frozen=True, eq=False)
 class Quads:
-    """``Q`` painted quads.
+    """``Q`` painted quads."""
 
-    Attributes:
-        corners: (Q, 4, 3) float64, meters, in turn; a corner given twice makes a triangle.
-        uv: (Q, 4, 2) float64, meters, the texture coordinates of the corners.
-        paint: ``Q`` rows.
-    """
-
-    corners: Array
-    uv: Array
-    paint: Paint
+    corners: Array  # (Q, 4, 3) float64, meters, in turn; a corner given twice makes a triangle
+    uv: Array  # (Q, 4, 2) float64, meters, the texture coordinates of the corners
+    paint: Paint  # Q rows
 
     def __len__(self) -> int:
         """The number of quads."""

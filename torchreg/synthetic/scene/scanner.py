@@ -23,27 +23,17 @@ from torchreg.types.clouds import Clouds
 
 @dataclass(frozen=True, kw_only=True)
 class LaserScanner:
-    """Properties of a scanner.
+    """Properties of a scanner."""
 
-    Attributes:
-        angular_step: degrees between neighboring rays, in azimuth and in elevation.
-        lowest, highest: degrees of elevation; below is the blind cone with the tripod in it.
-        min_range, max_range: meters.
-        sensitivity: 1 finds gray walls that face it up to some 40 m away; four times as much, twice as far.
-        range_noise: meters, standard deviation on a surface 10 m away that faces the scanner.
-        mixed_share: how many of the rays at a depth edge return a point between both surfaces.
-        depth_edge: meters between neighboring rays from which on they count as a depth edge.
-    """
-
-    angular_step: float = 0.4
-    lowest: float = -60.0
-    highest: float = 90.0
-    min_range: float = 0.6
-    max_range: float = 60.0
-    sensitivity: float = 1.0
-    range_noise: float = 0.004
-    mixed_share: float = 0.15
-    depth_edge: float = 0.1
+    angular_step: float = 0.4  # degrees between neighboring rays, in azimuth and in elevation
+    lowest: float = -60.0  # degrees of elevation; below is the blind cone with the tripod in it
+    highest: float = 90.0  # degrees of elevation
+    min_range: float = 0.6  # meters
+    max_range: float = 60.0  # meters
+    sensitivity: float = 1.0  # 1 finds gray walls that face it up to some 40 m away; four times as much, twice as far
+    range_noise: float = 0.004  # meters, standard deviation on a surface 10 m away that faces the scanner
+    mixed_share: float = 0.15  # how many of the rays at a depth edge return a point between both surfaces
+    depth_edge: float = 0.1  # meters between neighboring rays from which on they count as a depth edge
 
 
 def scan(
@@ -54,19 +44,11 @@ def scan(
     scanner: LaserScanner,
     seed: tuple[int, ...],
 ) -> Clouds:
-    """Scan a scene from one station.
+    """One cloud of the points of a scene that come back to a scanner at its pose (4, 4), float64.
 
-    Args:
-        quads: the scene, meters, in the frame of the world.
-        light: the light of the scene.
-        camera: the scanner's camera.
-        T_world_scanner: (4, 4) float64, the pose of the scanner.
-        scanner: its properties.
-        seed: of all noise; how large the noise is does not change which draws are made.
-
-    Returns:
-        One cloud of the points that came back, by elevation from below and then by azimuth: float32, meters, in the
-        frame of the scanner, with colors in steps of 1/255.
+    The scene is in meters, in the frame of the world. The points are ordered by elevation from below and then by
+    azimuth: float32, meters, in the frame of the scanner, with colors in steps of 1/255. All noise comes from the seed;
+    how large it is does not change which draws are made.
     """
     rng = np.random.default_rng(seed)
     caster = Raycaster(quads)
@@ -113,13 +95,9 @@ def ray_directions(scanner: LaserScanner) -> Array:
 
 
 def pose(position: Array, yaw: float, tilt: float, tilt_heading: float) -> Array:
-    """``T_world_scanner`` (4, 4): turned by ``yaw`` about the plumb line, then tilted.
+    """``T_world_scanner`` (4, 4) at ``position`` (3,), meters: turned by ``yaw`` about the plumb line, then tilted.
 
-    Args:
-        position: (3,) meters.
-        yaw: radians.
-        tilt: radians between the scanner's axis and the plumb line.
-        tilt_heading: radians, the azimuth towards which the axis leans.
+    The scanner's axis leans from the plumb line by ``tilt`` towards the azimuth ``tilt_heading``; all in radians.
     """
     heading = yaw_rotation(np.array([tilt_heading]))[0]
     cosine, sine = np.cos(tilt), np.sin(tilt)
