@@ -11,8 +11,8 @@ from problems import numbers
 from refusals import refuses
 from torch.autograd import gradcheck, gradgradcheck
 
-from torchreg.matching.dual_softmax import dual_softmax
-from torchreg.matching.sinkhorn import sinkhorn
+from torchreg.matching.softmax import dual_softmax
+from torchreg.matching.transport import sinkhorn
 
 SOLVERS = {
     "dual softmax": dual_softmax,

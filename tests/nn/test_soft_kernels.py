@@ -9,9 +9,9 @@ from torch.func import grad, vmap
 
 import torchreg as tr
 from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
-from torchreg.matching.dual_softmax import dual_softmax
-from torchreg.matching.sinkhorn import sinkhorn
 from torchreg.matching.soft import expected_targets, squared_distances
+from torchreg.matching.softmax import dual_softmax
+from torchreg.matching.transport import sinkhorn
 from torchreg.nn.descriptors import ascending_edges
 
 # what torch's own compiler does on its way

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_shape, one_of, positive
-from torchreg.matching.dual_softmax import dual_softmax, one_number
 from torchreg.matching.mutual import expect_comparable
-from torchreg.matching.sinkhorn import sinkhorn
+from torchreg.matching.softmax import dual_softmax, one_number
+from torchreg.matching.transport import sinkhorn
 from torchreg.types import Features, SoftCorrespondences
 from torchreg.types.packing import spans
 

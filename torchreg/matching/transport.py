@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchreg.errors import at_least
 from torchreg.geometry.numerics.derivatives import TensorFunction, derivative_wanted, transformed
-from torchreg.matching.dual_softmax import one_number, score_masks
+from torchreg.matching.softmax import one_number, score_masks
 
 
 def sinkhorn(
