@@ -117,8 +117,10 @@ def test_former_names_are_read_and_taken():
 def test_ransac_beside_another_solver_keeps_its_options_and_shares_its_threshold():
     ransac = tr.RansacOptions(inlier_threshold=0.5, local_optimization=3, hypotheses=7)
     assert tr.RegistrationOptions(ransac=ransac).solver is ransac
-    by_sets = tr.RegistrationOptions(solver=tr.CompatibilityOptions(nodes=300), ransac=ransac)
-    assert by_sets.solver == tr.CompatibilityOptions(nodes=300, inlier_threshold=0.5, local_optimization=3)
+    sets = tr.CompatibilityOptions(nodes=300, inlier_threshold=0.5)
+    by_sets = tr.RegistrationOptions(solver=sets, ransac=ransac)
+    assert by_sets.solver == sets
+    assert replace(by_sets, root=0.5).ransac == ransac
     assert by_sets.ransac == ransac
     assert tr.RegistrationOptions(solver="compatibility", ransac=ransac).inlier_threshold == 0.5
     assert replace(by_sets, solver="ransac").solver == ransac
@@ -135,8 +137,11 @@ def test_ransac_beside_another_solver_keeps_its_options_and_shares_its_threshold
     assert replace(doubled, root=0.5) == replace(finer, root=0.5).scaled(2)
     derived = tr.options_for(0.1)
     assert replace(derived, solver="ransac").inlier_threshold == derived.ransac.inlier_threshold
-    with refuses("ransac", "the solver's own"):
-        tr.RegistrationOptions(solver=tr.RansacOptions(hypotheses=5), ransac=ransac)
+    for solver in (tr.RansacOptions(hypotheses=5), tr.CompatibilityOptions(inlier_threshold=0.6)):
+        with refuses("ransac", "agrees with the solver"):
+            tr.RegistrationOptions(solver=solver, ransac=ransac)
+        with refuses("ransac", "agrees with the solver"):
+            replace(by_sets, solver=solver, ransac=replace(ransac, hypotheses=8))
 
 
 def test_thorough_runs_ransac_by_its_own_options():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
@@ -14,6 +14,8 @@ from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.registration.former_names import by_former_names
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled
+
+AnySolver = TypeVar("AnySolver", bound=Solver)
 
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
@@ -53,7 +55,8 @@ class RegistrationOptions:
     records that there are: a descriptor that is taken out takes its settings with it.
 
     Raises:
-        ValueError: a value out of its range, no descriptor, or another number of weights than of descriptors.
+        ValueError: a value out of its range, no descriptor, another number of weights than of descriptors, or solver and
+            RANSAC both given at different thresholds.
         TypeError: an unknown name, or an entry of ``descriptors``, ``solver`` or ``ransac`` that is no such record.
 
     Example:
@@ -204,30 +207,32 @@ def _solvers(
     """The solver and the options of RANSAC, at one threshold: that of the one that changes, else of the solver."""
     _expect_solver(solver, ransac)
     old_solver, old_ransac = before or (RansacOptions(), RansacOptions())
-    changed = ransac is not None and (before is None or ransac != old_ransac)
+    ransac_changes = ransac is not None and (before is None or ransac != old_ransac)
     ransac = old_ransac if ransac is None else ransac
     if solver is None:
         solver = ransac
     elif isinstance(solver, str):
-        solver = ransac if solver == ransac.name else _like(solver, ransac if changed else old_solver)
-    elif isinstance(solver, RansacOptions) and changed:
-        given = before is None or solver != old_solver
-        expect(not given or solver == ransac, "ransac", "the solver's own options, or none beside RANSAC", ransac)
-        solver = ransac
+        solver = ransac if solver == ransac.name else _like(solver, ransac if ransac_changes else old_solver)
+    elif ransac_changes and (before is None or solver != old_solver):
+        fits = solver == (ransac if isinstance(solver, RansacOptions) else _at_threshold(solver, ransac))
+        expect(fits, "ransac", f"what agrees with the solver ({solver}), or none", ransac)
+    elif ransac_changes:
+        solver = ransac if isinstance(solver, RansacOptions) else _at_threshold(solver, ransac)
     if isinstance(solver, RansacOptions):
         return solver, solver
-    if changed:
-        return replace(solver, **_shared(ransac)), ransac
-    return solver, replace(ransac, **_shared(solver))
+    return solver, _at_threshold(ransac, solver)
+
+
+def _at_threshold(solver: AnySolver, other: Solver) -> AnySolver:
+    return replace(solver, inlier_threshold=other.inlier_threshold)
 
 
 def _like(name: str, other: Solver) -> Solver:
     """The solver of this name at the threshold of another, with its local optimization."""
-    return other if other.name == name else SOLVERS[one_of(name, "solver", tuple(SOLVERS))](**_shared(other))
-
-
-def _shared(solver: Solver) -> dict[str, Any]:
-    return {"inlier_threshold": solver.inlier_threshold, "local_optimization": solver.local_optimization}
+    if other.name == name:
+        return other
+    kind = SOLVERS[one_of(name, "solver", tuple(SOLVERS))]
+    return kind(inlier_threshold=other.inlier_threshold, local_optimization=other.local_optimization)
 
 
 def _listed(values: Sequence[Any], name: str) -> tuple[Any, ...]:
