@@ -55,8 +55,8 @@ class RegistrationOptions:
     records that there are: a descriptor that is taken out takes its settings with it.
 
     Raises:
-        ValueError: a value out of its range, no descriptor, another number of weights than of descriptors, or solver and
-            RANSAC both given at different thresholds.
+        ValueError: a value out of its range, no descriptor, another number of weights than of descriptors, or
+            ``solver`` and ``ransac`` both given at different thresholds.
         TypeError: an unknown name, or an entry of ``descriptors``, ``solver`` or ``ransac`` that is no such record.
 
     Example:
