@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from torchreg.benchmark.core.study import Study, run_study
+from torchreg.benchmark.peers import METHODS
 from torchreg.benchmark.peers.comparison import ComparisonOptions
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
@@ -92,8 +93,7 @@ class ComparisonRun:
         typer.Option(
             "--methods",
             metavar="NAME,NAME",
-            help="Only these: open3d-100k, open3d-600k, open3d-600k-all, open3d-fgr, kiss-matcher, gc-ransac, magsac, "
-            "default, fast, thorough, paper, fpfh.",
+            help=f"Only these: {', '.join(METHODS)}.",
         ),
     ] = None
     scenes: Annotated[
