@@ -1,5 +1,7 @@
 """Clouds check what they hold, and packing loses nothing."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from determinism import same_bits
@@ -13,7 +15,7 @@ import torchreg as tr
 POINTS = torch.arange(15.0).reshape(5, 3)
 
 
-def cloud(rows, seed=0, *, colors=True, normals=True, viewpoint=True, dtype=torch.float32):
+def cloud(rows, seed=0, *, colors=True, normals=True, viewpoint=True, assumed=False, dtype=torch.float32):
     generator = torch.Generator().manual_seed(seed)
 
     def numbers(*shape, dtype=dtype):
@@ -25,6 +27,7 @@ def cloud(rows, seed=0, *, colors=True, normals=True, viewpoint=True, dtype=torc
         normals=numbers(rows, 3) if normals else None,
         origin=numbers(1, 3, dtype=torch.float64),
         viewpoint=numbers(1, 3) if viewpoint else None,
+        viewpoint_assumed=torch.tensor([assumed]),
     )
 
 
@@ -38,6 +41,7 @@ def test_defaults_make_one_cloud_at_the_origin():
     assert one.colors is None
     assert one.normals is None
     assert one.viewpoint is None
+    assert one.viewpoint_assumed.tolist() == one.viewpoint_known.tolist() == [False]
 
 
 def test_clouds_are_frozen():
@@ -75,6 +79,11 @@ def test_clouds_are_frozen():
         ({"viewpoint": torch.zeros(3)}, "viewpoint", ["(1, 3)", "(3,)"]),
         ({"viewpoint": torch.zeros(1, 3, dtype=torch.int64)}, "viewpoint", ["floating", "int64"]),
         ({"viewpoint": torch.zeros(1, 3, device="meta")}, "viewpoint", ["cpu", "meta"]),
+        ({"viewpoint_assumed": torch.tensor(True)}, "viewpoint_assumed", ["(1,)", "()"]),
+        ({"viewpoint_assumed": torch.tensor([True, False])}, "viewpoint_assumed", ["(1,)", "(2,)"]),
+        ({"viewpoint_assumed": torch.zeros(1)}, "viewpoint_assumed", ["bool", "float32"]),
+        ({"viewpoint_assumed": [True]}, "viewpoint_assumed", ["tensor", "list"]),
+        ({"viewpoint_assumed": torch.ones(1, dtype=torch.bool, device="meta")}, "viewpoint_assumed", ["cpu", "meta"]),
     ],
 )
 def test_what_does_not_fit_is_refused(fields, name, parts):
@@ -82,13 +91,17 @@ def test_what_does_not_fit_is_refused(fields, name, parts):
         tr.Clouds(**({"points": POINTS} | fields))
 
 
-@given(st.lists(st.integers(0, 6), min_size=1, max_size=6), st.booleans(), st.booleans(), st.booleans(), st.booleans())
-def test_unpack_undoes_pack(lengths, colors, normals, viewpoint, wide):
+@given(
+    st.lists(st.tuples(st.integers(0, 6), st.booleans()), min_size=1, max_size=6),
+    *(st.booleans(), st.booleans(), st.booleans(), st.booleans()),
+)
+def test_unpack_undoes_pack(sizes, colors, normals, viewpoint, wide):
     dtype = torch.float64 if wide else torch.float32
     made = [
-        cloud(rows, seed, colors=colors, normals=normals, viewpoint=viewpoint, dtype=dtype)
-        for seed, rows in enumerate(lengths)
+        cloud(rows, seed, colors=colors, normals=normals, viewpoint=viewpoint, assumed=assumed, dtype=dtype)
+        for seed, (rows, assumed) in enumerate(sizes)
     ]
+    lengths = [rows for rows, _ in sizes]
     packed = tr.Clouds.pack(made)
     assert packed.lengths == lengths
     assert all(same_bits(one, other) for one, other in zip(made, packed.unpack(), strict=True))
@@ -107,6 +120,56 @@ def test_unknown_viewpoints_beside_known_ones_become_nan():
     packed = tr.Clouds.pack([cloud(2, 0, viewpoint=False), cloud(3, 1)])
     assert torch.isnan(packed.viewpoint[0]).all()
     assert torch.isfinite(packed.viewpoint[1]).all()
+
+
+KINDS = {  # of viewpoint -> whether it is (assumed, known)
+    "none": (False, False),
+    "nan": (False, False),
+    "assumed": (True, False),
+    "known": (False, True),
+}
+
+
+def of_kind(kind, seed=0):
+    one = cloud(3, seed, viewpoint=kind != "none", assumed=kind == "assumed")
+    return replace(one, viewpoint=one.viewpoint * float("nan")) if kind == "nan" else one
+
+
+def flags(clouds):
+    return list(zip(clouds.viewpoint_assumed.tolist(), clouds.viewpoint_known.tolist(), strict=True))
+
+
+@given(st.lists(st.sampled_from(sorted(KINDS)), min_size=1, max_size=5), st.randoms(use_true_random=False))
+def test_a_viewpoint_is_known_assumed_or_not_there_whatever_clouds_go_through(kinds, random):
+    packed = tr.Clouds.pack([of_kind(kind, seed) for seed, kind in enumerate(kinds)])
+    expected = [KINDS[kind] for kind in kinds]
+    assert flags(packed) == expected
+    assert [flags(one)[0] for one in packed.unpack()] == expected
+    order = random.choices(range(len(kinds)), k=4)
+    assert flags(packed.select(order)) == [expected[b] for b in order]
+    kept = packed.rows(torch.arange(len(kinds)) * 3, torch.arange(len(kinds) + 1))
+    for same in (kept, packed.detach(), packed.to(dtype=torch.float64), packed.to("cpu", torch.float16)):
+        assert flags(same) == expected
+        assert same.viewpoint_assumed.dtype == torch.bool
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_without_a_viewpoint_nothing_is_assumed(kind):
+    one = of_kind(kind)
+    for nothing in (None, torch.full((1, 3), float("nan")), torch.tensor([[0.0, float("inf"), 0.0]])):
+        assert flags(replace(one, viewpoint=nothing)) == [(False, False)]
+        assert flags(tr.Clouds(POINTS, viewpoint=nothing, viewpoint_assumed=torch.tensor([True]))) == [(False, False)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_viewpoint_given_where_there_was_none_is_known_and_a_moved_guess_stays_a_guess(kind):
+    place = torch.tensor([[1.0, 2.0, 3.0]])
+    one = of_kind(kind)
+    was_assumed = kind == "assumed"
+    assert flags(replace(one, viewpoint=place)) == [(was_assumed, not was_assumed)]
+    assert flags(replace(replace(one, viewpoint=None), viewpoint=place)) == [(False, True)]
+    assert flags(replace(one, viewpoint=place, viewpoint_assumed=None)) == [(False, True)]
+    assert flags(replace(one, viewpoint=place, viewpoint_assumed=torch.tensor([True]))) == [(True, False)]
 
 
 @pytest.mark.parametrize("name", ["colors", "normals"])
@@ -151,7 +214,8 @@ def test_to_changes_the_dtype_of_all_but_the_origin():
 
 def test_to_moves_everything_but_the_offsets():
     moved = cloud(3).to("meta")
-    assert {moved.points.device.type, moved.colors.device.type, moved.origin.device.type} == {"meta"}
+    tensors = (moved.points, moved.colors, moved.origin, moved.viewpoint_assumed, moved.viewpoint_known)
+    assert {tensor.device.type for tensor in tensors} == {"meta"}
     assert moved.offsets.device.type == "cpu"
     assert moved.device.type == "meta"
 

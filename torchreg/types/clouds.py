@@ -26,7 +26,12 @@ class Clouds:
             apart so that coordinates of UTM size lose nothing in float32; transforms include it.
             ``None`` at construction means zeros.
         viewpoint: (B, 3) scanner position in the frame of ``points`` (relative to ``origin``), or ``None``
-            where it is not known. A row of NaN marks one cloud of a batch whose scanner is not known.
+            where there is none. A row of NaN marks one cloud of a batch without one.
+        viewpoint_assumed: (B,) bool, on the device of the points: whether ``viewpoint`` is only a guess, as the
+            zero of a plain file's frame is; always false for a cloud without a viewpoint. ``None`` at construction
+            means that no viewpoint is a guess. A guess turns normals; it is no evidence for or against a pose. It
+            stays a guess where ``dataclasses.replace`` moves it: where the scanner's position is learned later,
+            ``replace(clouds, viewpoint=position, viewpoint_assumed=None)`` says so.
 
     Raises:
         ValueError: a tensor has another shape, dtype or device than stated here.
@@ -38,6 +43,7 @@ class Clouds:
     normals: Tensor | None = None
     origin: Tensor = None  # type: ignore[assignment]  # filled in below: zeros
     viewpoint: Tensor | None = None
+    viewpoint_assumed: Tensor = None  # type: ignore[assignment]  # filled in below: no viewpoint is a guess
 
     def __post_init__(self) -> None:
         expect_shape(self.points, "points", ("P", 3), "floating")
@@ -53,6 +59,10 @@ class Clouds:
         expect_shape(self.origin, "origin", (len(self), 3), torch.float64, device)
         if self.viewpoint is not None:
             expect_shape(self.viewpoint, "viewpoint", (len(self), 3), "floating", device)
+        if self.viewpoint_assumed is None:
+            object.__setattr__(self, "viewpoint_assumed", torch.zeros(len(self), dtype=torch.bool, device=device))
+        expect_shape(self.viewpoint_assumed, "viewpoint_assumed", (len(self),), torch.bool, device)
+        object.__setattr__(self, "viewpoint_assumed", self.viewpoint_assumed & self._has_viewpoint())
 
     def __len__(self) -> int:
         """The number of clouds, B."""
@@ -67,6 +77,11 @@ class Clouds:
     def device(self) -> torch.device:
         """Where the points are."""
         return self.points.device
+
+    @property
+    def viewpoint_known(self) -> Tensor:
+        """Whether the position of each scanner is known, (B,) bool: there is a viewpoint, and it is not a guess."""
+        return self._has_viewpoint() & ~self.viewpoint_assumed
 
     @staticmethod
     def pack(clouds: Sequence[Clouds]) -> Clouds:
@@ -90,6 +105,7 @@ class Clouds:
             normals=_cat_all_or_none("normals", [cloud.normals for cloud in clouds]),
             origin=torch.cat([cloud.origin for cloud in clouds]),
             viewpoint=viewpoint,
+            viewpoint_assumed=torch.cat([cloud.viewpoint_assumed for cloud in clouds]),
         )
 
     def unpack(self) -> list[Clouds]:
@@ -101,6 +117,7 @@ class Clouds:
                 normals=None if self.normals is None else self.normals[begin:end],
                 origin=self.origin[b : b + 1],
                 viewpoint=None if self.viewpoint is None else self.viewpoint[b : b + 1],
+                viewpoint_assumed=self.viewpoint_assumed[b : b + 1],
             )
             for b, (begin, end) in enumerate(spans(self.offsets))
         ]
@@ -127,18 +144,24 @@ class Clouds:
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Clouds:
         """Copy to a device or change the dtype of points, colors, normals and viewpoint (``origin`` stays float64)."""
-        return self._mapped(lambda value: value.to(device=device, dtype=dtype), self.origin.to(device=device))
+        return self._mapped(lambda value: value.to(device=device, dtype=dtype), lambda value: value.to(device=device))
 
     def detach(self) -> Clouds:
         """The same tensors, without gradients."""
-        return self._mapped(Tensor.detach, self.origin.detach())
+        return self._mapped(Tensor.detach, Tensor.detach)
 
     def pin_memory(self) -> Clouds:
         """Copy into page-locked memory, for faster and asynchronous transfer to a GPU."""
-        return self._mapped(Tensor.pin_memory, self.origin.pin_memory())
+        return self._mapped(Tensor.pin_memory, Tensor.pin_memory)
 
-    def _mapped(self, change: Callable[[Tensor], Tensor], origin: Tensor) -> Clouds:
-        """The clouds with every tensor but offsets and origin changed by a function."""
+    def _has_viewpoint(self) -> Tensor:
+        """Whether each cloud has a viewpoint, known or assumed: (B,) bool."""
+        if self.viewpoint is None:
+            return torch.zeros(len(self), dtype=torch.bool, device=self.device)
+        return self.viewpoint.isfinite().all(dim=1)
+
+    def _mapped(self, change: Callable[[Tensor], Tensor], move: Callable[[Tensor], Tensor]) -> Clouds:
+        """The clouds with every tensor of the points' dtype changed by one function, the others moved by another."""
 
         def optional(value: Tensor | None) -> Tensor | None:
             return None if value is None else change(value)
@@ -148,8 +171,9 @@ class Clouds:
             offsets=self.offsets,
             colors=optional(self.colors),
             normals=optional(self.normals),
-            origin=origin,
+            origin=move(self.origin),
             viewpoint=optional(self.viewpoint),
+            viewpoint_assumed=move(self.viewpoint_assumed),
         )
 
 
