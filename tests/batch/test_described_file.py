@@ -62,6 +62,7 @@ def test_names_differ_where_anything_does():
         replace(cloud, colors=None),
         replace(cloud, origin=cloud.origin + 1),
         replace(cloud, viewpoint=None),
+        replace(cloud, viewpoint_assumed=torch.tensor([True])),
     ]
     clouds.append(replace(cloud, points=cloud.points.double(), colors=cloud.colors.double()))
     digests = [digest_of(one) for one in clouds]

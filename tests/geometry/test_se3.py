@@ -1,5 +1,7 @@
 """Rigid transforms compose, invert and move clouds without losing digits."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from closeness import close
@@ -115,6 +117,13 @@ def test_a_cloud_of_points_alone_moves():
 def test_an_unknown_viewpoint_stays_unknown():
     one = tr.Clouds(points=torch.zeros(2, 3), viewpoint=torch.full((1, 3), float("nan")))
     assert torch.isnan(tr.transform(one, random_transform(torch.Generator())).viewpoint).all()
+
+
+@pytest.mark.parametrize("assumed", [True, False])
+def test_a_guess_stays_a_guess_and_a_known_viewpoint_known(assumed):
+    moved = tr.transform(replace(cloud(4), viewpoint_assumed=torch.tensor([assumed])), EYE)
+    assert moved.viewpoint_assumed.tolist() == [assumed]
+    assert moved.viewpoint_known.tolist() == [not assumed]
 
 
 def test_gradients_are_right():

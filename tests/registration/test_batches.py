@@ -171,6 +171,8 @@ def test_equal_clouds_are_known_by_their_bits():
     copy = replace(one, points=one.points.clone())
     assert same_clouds([tr.Clouds.pack([one, other, copy]), tr.Clouds.pack([other, shifted])]) == [[0, 1, 0], [1, 4]]
     assert same_clouds([one, bare]) == [[0], [1]]
+    guessed = replace(one, viewpoint_assumed=torch.tensor([True]))
+    assert same_clouds([one, guessed, replace(guessed, viewpoint_assumed=None)]) == [[0], [1], [0]]
     assert same_clouds([negative, positive, negative]) == [[0], [1], [0]]
 
 

@@ -78,9 +78,10 @@ def measure(cloud: Clouds, voxel: float | None, *, scaled: bool) -> CloudMeasure
 
 
 def digest_of(cloud: Clouds) -> str:
-    """Hexadecimal digits that name the content of a cloud: points, colors, normals, origin and viewpoint."""
+    """Hexadecimal digits that name the content of a cloud: all its tensors, and whether its viewpoint is a guess."""
     digest = hashlib.blake2b(digest_size=16)
-    for part in (cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint):
+    parts = (cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint, cloud.viewpoint_assumed)
+    for part in parts:
         digest.update(b"none" if part is None else _bytes(part))
     return digest.hexdigest()
 

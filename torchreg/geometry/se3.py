@@ -69,7 +69,8 @@ def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
         T_to_from: (4, 4) for all clouds or (B, 4, 4), rigid, meters.
 
     Returns:
-        The clouds in frames "to", with an origin each of R origin + t, so that points stay small numbers.
+        The clouds in frames "to", with an origin each of R origin + t, so that points stay small numbers. A
+        viewpoint that is assumed moves with its cloud and stays assumed.
     """
     T = T_to_from.to(device=clouds.device, dtype=torch.float64)
     expect(T.shape in ((4, 4), (len(clouds), 4, 4)), "T_to_from", f"(4, 4) or ({len(clouds)}, 4, 4)", T_to_from)
@@ -93,4 +94,5 @@ def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
         normals=normals,
         origin=apply_rotation(T[:, :3, :3], clouds.origin) + T[:, :3, 3],
         viewpoint=viewpoint,
+        viewpoint_assumed=clouds.viewpoint_assumed,
     )

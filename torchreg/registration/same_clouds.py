@@ -34,7 +34,7 @@ def same_clouds(batches: Sequence[Clouds]) -> list[list[int]]:
 
 
 def _parts(cloud: Clouds) -> tuple[Tensor | None, ...]:
-    return cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint
+    return cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint, cloud.viewpoint_assumed
 
 
 def _fingerprint(cloud: Clouds) -> Tensor:
@@ -58,4 +58,4 @@ def _equal(one: Clouds, other: Clouds) -> bool:
 
 
 def _bits(part: Tensor) -> Tensor:
-    return part.contiguous().view({2: torch.int16, 4: torch.int32, 8: torch.int64}[part.element_size()])
+    return part.contiguous().view({1: torch.int8, 2: torch.int16, 4: torch.int32, 8: torch.int64}[part.element_size()])

@@ -169,5 +169,6 @@ def _centered(cloud: Clouds) -> tuple[Clouds, Tensor]:
         normals=None if cloud.normals is None else cloud.normals.float(),
         origin=cloud.origin + center,
         viewpoint=None if cloud.viewpoint is None else (cloud.viewpoint.double() - center).float(),
+        viewpoint_assumed=cloud.viewpoint_assumed,
     )
     return moved, center
