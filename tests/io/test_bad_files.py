@@ -220,6 +220,8 @@ def npz(tmp_path, **arrays):
         ({"points": POINTS, "origin": np.zeros(4)}, "origin of shape (3,), got (4,)"),
         ({"points": POINTS, "origin": np.full(3, np.nan)}, "a finite origin"),
         ({"points": POINTS, "viewpoint": np.zeros((2, 3))}, "viewpoint of shape (3,), got (2, 3)"),
+        ({"points": POINTS, "viewpoint_known": np.array(1.0)}, "viewpoint_known of true or false, got float64"),
+        ({"points": POINTS, "viewpoint_known": np.array([True] * 2)}, "viewpoint_known of shape (), got (2,)"),
     ],
 )
 def test_npz_arrays(tmp_path, arrays, message):

@@ -43,6 +43,8 @@ def test_there_and_back(shift):
     np.testing.assert_allclose(np.asarray(back.colors), colors, atol=1e-7)
     np.testing.assert_allclose(np.asarray(back.normals), normals, atol=1e-6)
     assert (cloud.viewpoint is None) == bool(shift.any())
+    assert cloud.viewpoint_assumed.tolist() == [not shift.any()]
+    assert from_open3d(legacy(points + shift), "origin").viewpoint_known.tolist() == [True]
 
 
 def test_a_bare_cloud_in_float64_is_exact():
@@ -70,6 +72,7 @@ def test_tensor_clouds(dtype, scale):
     np.testing.assert_allclose(cloud.colors.numpy(), colors / np.float64(scale), atol=1e-7)
     np.testing.assert_allclose(cloud.normals.numpy(), normals, atol=1e-6)
     assert cloud.viewpoint.tolist() == [[1, 2, 3]]
+    assert cloud.viewpoint_known.tolist() == [True]
 
 
 def test_the_result_does_not_share_memory_with_open3d():

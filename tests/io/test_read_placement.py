@@ -48,11 +48,42 @@ def test_few_wild_points_do_not_move_the_origin(shift, wild):
     assert np.abs(choose_origin(moved) - choose_origin(points)).max() <= 16 or abs(shift) < 1100
 
 
-@pytest.mark.parametrize("viewpoint", ["auto", "origin"])
-def test_the_zero_of_an_ordinary_scan_is_its_viewpoint(tmp_path, viewpoint):
-    report = read_cloud_report(write_ply(tmp_path / "a.ply", named(XYZ, local(), "f4")), viewpoint=viewpoint)
-    assert report.cloud.viewpoint.tolist() == [[0, 0, 0]]
-    assert "origin of the file's frame" in report.viewpoint_source
+def plain_file(folder, kind):
+    """A file that says nothing of its scanner."""
+    path = folder / f"a{kind}"
+    if kind == ".npz":
+        np.savez(path, points=local())
+        return path
+    return {".ply": write_ply, ".pcd": write_pcd}[kind](path, named(XYZ, local(), "f4"))
+
+
+@pytest.mark.parametrize("kind", [".ply", ".pcd", ".npz"])
+def test_the_zero_of_an_ordinary_scan_is_assumed_and_known_where_it_is_asked_for(tmp_path, kind):
+    path = plain_file(tmp_path, kind)
+    for viewpoint, ends in (("auto", "assumed"), ("origin", "as asked for")):
+        report = read_cloud_report(path, viewpoint=viewpoint)
+        assert report.cloud.viewpoint.tolist() == [[0, 0, 0]]
+        assert report.cloud.viewpoint_known.tolist() == [viewpoint == "origin"]
+        assert report.cloud.viewpoint_assumed.tolist() == [viewpoint == "auto"]
+        assert report.viewpoint_source == f"the origin of the file's frame, {ends}"
+    assert read_cloud(path, viewpoint=(1, 2, 3)).viewpoint_known.tolist() == [True]
+    assert read_cloud(path, viewpoint=None).viewpoint_known.tolist() == [False]
+
+
+@pytest.mark.parametrize("kind", [".ply", ".pcd", ".npz"])
+def test_what_the_file_says_is_known(tmp_path, kind):
+    path = tmp_path / f"a{kind}"
+    if kind == ".npz":
+        np.savez(path, points=local(), viewpoint=[1.0, 2.0, 3.0])
+    elif kind == ".pcd":
+        write_pcd(path, named(XYZ, local(), "f4"), viewpoint="1 2 3 1 0 0 0")
+    else:
+        plain = write_ply(path, named(XYZ, local(), "f4")).read_bytes()
+        path.write_bytes(plain.replace(b"element", b"comment viewpoint 1 2 3\nelement", 1))
+    report = read_cloud_report(path)
+    assert report.cloud.viewpoint.tolist() == [[1, 2, 3]]
+    assert report.cloud.viewpoint_known.tolist() == [True]
+    assert report.viewpoint_source == "the file"
 
 
 def test_the_zero_counts_up_to_ten_diagonals_away(tmp_path):
@@ -62,6 +93,7 @@ def test_the_zero_counts_up_to_ten_diagonals_away(tmp_path):
     assert read_cloud(near).viewpoint is not None
     report = read_cloud_report(far)
     assert report.cloud.viewpoint is None
+    assert report.cloud.viewpoint_assumed.tolist() == [False]
     assert report.viewpoint_source == "none: the frame's origin is 50 m from points that span 5.0 m"
     mirrored = write_ply(tmp_path / "mirrored.ply", named(XYZ, -box - [0, 0, 50.01], "f4"))
     assert read_cloud(mirrored).viewpoint is None
@@ -92,6 +124,7 @@ def test_npz_positions_are_relative_to_its_origin(tmp_path):
     np.savez(tmp_path / "b.npz", points=points, origin=[[0.0, 0.0, 5.0]])
     cloud = read_cloud(tmp_path / "b.npz")
     assert cloud.viewpoint.tolist() == [[0, 0, -5]]
+    assert cloud.viewpoint_assumed.tolist() == [True]
 
 
 def test_npz_with_large_points_gets_an_origin(tmp_path):

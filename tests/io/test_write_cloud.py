@@ -11,7 +11,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchreg.io import read_cloud, write_cloud
+from torchreg.io import read_cloud, read_cloud_report, write_cloud
 from torchreg.io.atomic import atomic_write
 from torchreg.types import Clouds
 
@@ -89,6 +89,22 @@ def test_an_unknown_viewpoint_stays_unknown(tmp_path, name):
     for viewpoint in (None, torch.full((1, 3), float("nan"))):
         write_cloud(tmp_path / name, Clouds(torch.rand(5, 3), viewpoint=viewpoint))
         assert read_cloud(tmp_path / name).viewpoint is None
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.npz"])
+@pytest.mark.parametrize("T", [None, rotation()])
+@pytest.mark.parametrize("origin", [None, UTM])
+@pytest.mark.parametrize("assumed", [True, False])
+def test_a_viewpoint_comes_back_as_known_or_assumed_as_it_was(tmp_path, name, T, origin, assumed):
+    cloud = some_cloud(origin=origin, viewpoint_assumed=torch.tensor([assumed]))
+    for _ in range(2):
+        write_cloud(tmp_path / name, cloud, T=T)
+        cloud = read_cloud(tmp_path / name)
+        assert cloud.viewpoint_assumed.tolist() == [assumed]
+        assert cloud.viewpoint_known.tolist() == [not assumed]
+    report = read_cloud_report(tmp_path / name)
+    assert report.viewpoint_source == ("assumed, as the file says" if assumed else "the file")
+    assert read_cloud(tmp_path / name, viewpoint="origin").viewpoint_known.tolist() == [True]
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.npz"])

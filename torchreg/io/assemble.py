@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.io.placement import choose_origin, place_scanner
+from torchreg.io.placement import Scanner, choose_origin, place_scanner
 from torchreg.types import Clouds
 
 FARTHEST_COORDINATE = 1e12  # meters; beyond it the bytes are no coordinates
@@ -30,7 +30,7 @@ class RawCloud:
         colors: (N, 3) of any real dtype and range, or ``None``.
         normals: (N, 3) float64 of any length, or ``None``.
         origin: (3,) float64.
-        viewpoint: (3,) float64; NaN where the file says that it is not known; ``None`` where it says nothing.
+        scanner: what the file says of its position (``scanner_of_file``); ``None`` where it says nothing.
         notes: what a user should know.
     """
 
@@ -40,7 +40,7 @@ class RawCloud:
     colors: NDArray[Any] | None = None
     normals: NDArray[Any] | None = None
     origin: NDArray[Any] = field(default_factory=lambda: np.zeros(3))
-    viewpoint: NDArray[Any] | None = None
+    scanner: Scanner | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -55,7 +55,7 @@ class CloudFile:
         points_in_file: before points were dropped.
         dropped_non_finite: points with NaN or infinity among their coordinates.
         color_depth: "uint8", "uint16" or "float" in the file; ``None`` without colors.
-        viewpoint_source: where the scanner's position is known from, in words.
+        viewpoint_source: where the scanner's position is known from, in words, or that it is assumed.
         extent: edges of the bounding box along x, y, z, in meters.
         notes: what a user should know, such as colors that had to be guessed at.
     """
@@ -99,7 +99,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
     if largest > FARTHEST_COORDINATE:
         raise ValueError(f"{raw.name}: expected coordinates up to {FARTHEST_COORDINATE:g} m, got {largest:g}")
     shift = choose_origin(points)
-    scanner = place_scanner(viewpoint, raw.viewpoint, points, raw.origin)
+    scanner = place_scanner(viewpoint, raw.scanner, points, raw.origin)
     scaled = ScaledColors(None, "", ()) if raw.colors is None else scale_colors(raw.colors[finite], raw.name)
     normals, normal_notes = _unit_normals(None if raw.normals is None else raw.normals[finite])
     position = None if scanner.position is None else (scanner.position - shift)[None]  # (1, 3)
@@ -109,6 +109,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         normals=_tensor(normals, dtype),
         origin=torch.from_numpy(raw.origin + shift)[None],  # (1, 3)
         viewpoint=_tensor(position, dtype),
+        viewpoint_assumed=torch.tensor([scanner.assumed]),
     )
     x, y, z = (points.max(axis=0) - points.min(axis=0)).tolist()
     return CloudFile(

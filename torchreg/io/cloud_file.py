@@ -34,13 +34,15 @@ def read_cloud(
         path: a file ``.ply`` (text, little or big endian), ``.pcd`` (text, binary, compressed) or ``.npz``
             (arrays points, and where there are any colors, normals, origin, viewpoint).
         viewpoint: where the scanner stood. "auto" takes the file's own (VIEWPOINT of PCD where it is not
-            zero, the key of npz, the comment that ``write_cloud`` leaves in PLY), else the frame's zero,
-            unless the points are more than ten times their extent away from it; "origin" is the frame's
-            zero; ``None`` means not known; three numbers are a position in the file's frame, in meters.
+            zero, the key of npz, the comment that ``write_cloud`` leaves in PLY). Where the file says nothing, it
+            assumes the frame's zero, unless the points are more than ten times their extent away from it: this
+            guess is marked by ``viewpoint_assumed`` and is no evidence for or against a pose. "origin" is the
+            frame's zero, known; ``None`` means that nothing is known; three numbers are a known position in the
+            file's frame, in meters.
         dtype: of the result, float32 or float64.
 
     Returns:
-        A batch of one cloud on the CPU; its viewpoint is relative to its origin.
+        A batch of one cloud on the CPU; its viewpoint is relative to its origin, and known or assumed as above.
 
     Raises:
         CloudFileError: the file is missing, of another kind, cut short, contradicts itself, or holds colors
@@ -80,7 +82,8 @@ def write_cloud(path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None
 
     PLY holds the coordinates with the origin added, in double precision where the cloud has an origin other
     than zero, coordinates beyond 1 km, or float64 points; colors in 8 bits; the viewpoint in a comment that
-    ``read_cloud`` understands. npz holds the arrays as they are, the origin apart: nothing is rounded.
+    ``read_cloud`` understands. npz holds the arrays as they are, the origin apart: nothing is rounded. Both keep
+    whether the viewpoint is known or assumed.
 
     Args:
         path: a name that ends in ``.ply`` or ``.npz``.

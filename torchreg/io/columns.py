@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import refuse, require
+from torchreg.io.placement import Scanner
 
 COORDINATES = ("x", "y", "z")
 NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
@@ -123,7 +124,7 @@ def raw_from_columns(
     name: str,
     kind: str,
     columns: Columns,
-    viewpoint: NDArray[Any] | None = None,
+    scanner: Scanner | None = None,
     notes: tuple[str, ...] = (),
 ) -> RawCloud:
     """Pick coordinates, colors and normals by the names that files use.
@@ -141,7 +142,7 @@ def raw_from_columns(
         points=points.astype(np.float64),
         colors=_colors(name, columns),
         normals=None if normals is None else normals.astype(np.float64),
-        viewpoint=viewpoint,
+        scanner=scanner,
         notes=notes,
     )
 

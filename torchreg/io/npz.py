@@ -1,9 +1,10 @@
 """A cloud as numpy's ``.npz``: the arrays of ``Clouds`` under their names, nothing rounded.
 
-    points (N, 3)   colors (N, 3)   normals (N, 3)   origin (3,)   viewpoint (3,)
+    points (N, 3)   colors (N, 3)   normals (N, 3)   origin (3,)   viewpoint (3,)   viewpoint_known ()
 
 As in ``Clouds``, points and viewpoint are relative to the origin (zeros where there is none). A viewpoint of
-NaN says that it is not known. Pickled objects are never loaded.
+NaN says that it is not known; a ``viewpoint_known`` of false, that it is only assumed. A viewpoint without this
+array is known. Pickled objects are never loaded.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from numpy.typing import NDArray
 from torchreg.errors import CloudFileError
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import excerpt, refuse, require
-from torchreg.io.placement import viewpoint_or_nan
+from torchreg.io.placement import Scanner, scanner_of_file, viewpoint_or_nan
 from torchreg.types import Clouds
 
-_KEYS = ("points", "colors", "normals", "origin", "viewpoint")
+_FLAG = "viewpoint_known"
+_KEYS = ("points", "colors", "normals", "origin", "viewpoint", _FLAG)
 _UNREADABLE = (ValueError, OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
@@ -53,7 +55,7 @@ def read_npz(path: Path) -> Iterator[RawCloud]:
     for key in ("colors", "normals"):
         shape = arrays[key].shape if key in arrays else points.shape
         require(shape == points.shape, path, f"{key} of the shape of points, {points.shape}", str(shape))
-    origin, viewpoint = (_position(path, arrays, key) for key in ("origin", "viewpoint"))
+    origin = _position(path, arrays, "origin")
     origin = np.zeros(3) if origin is None else origin
     require(bool(np.isfinite(origin).all()), path, "a finite origin", str(origin))
     yield RawCloud(
@@ -63,14 +65,19 @@ def read_npz(path: Path) -> Iterator[RawCloud]:
         colors=arrays.get("colors"),
         normals=arrays["normals"].astype(np.float64) if "normals" in arrays else None,
         origin=origin,
-        viewpoint=viewpoint,
+        scanner=_scanner(path, arrays),
     )
 
 
 def write_npz(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
     """Write the arrays of one cloud in the dtype that the caller has it in."""
     cloud = cloud.to(dtype=dtype)
-    arrays = {"points": cloud.points, "origin": cloud.origin[0], "viewpoint": viewpoint_or_nan(cloud)}
+    arrays = {
+        "points": cloud.points,
+        "origin": cloud.origin[0],
+        "viewpoint": viewpoint_or_nan(cloud),
+        _FLAG: cloud.viewpoint_known[0],
+    }
     optional = {"colors": cloud.colors, "normals": cloud.normals}
     arrays.update({key: value for key, value in optional.items() if value is not None})
     np.savez(file, **{key: value.detach().numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
@@ -87,12 +94,21 @@ def _array(path: Path, archive: zipfile.ZipFile, member: str, key: str) -> NDArr
         if read_header is None:
             refuse(path, f"{key} in numpy's format 1.0 or 2.0", str(version))
         shape, _, dtype = read_header(file)
-        require(dtype.kind in "iuf", path, f"{key} of real numbers", str(dtype))
+        kinds, words = ("b", "true or false") if key == _FLAG else ("iuf", "real numbers")
+        require(dtype.kind in kinds, path, f"{key} of {words}", str(dtype))
         size, stored = math.prod(shape) * dtype.itemsize, archive.getinfo(member).file_size - file.tell()
         require(size == stored, path, f"{key} {shape} of {size} bytes, as its header declares", f"{stored}")
     with archive.open(member) as file:
         array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     return array
+
+
+def _scanner(path: Path, arrays: dict[str, NDArray[Any]]) -> Scanner | None:
+    """What the arrays say of the scanner; ``None`` without a viewpoint."""
+    known = arrays.get(_FLAG, np.array(True))
+    require(known.size == 1, path, f"{_FLAG} of shape ()", str(known.shape))
+    viewpoint = _position(path, arrays, "viewpoint")
+    return None if viewpoint is None else scanner_of_file(viewpoint, assumed=not known.all())
 
 
 def _position(path: Path, arrays: dict[str, NDArray[Any]], key: str) -> NDArray[Any] | None:

@@ -20,8 +20,8 @@ _Array = NDArray[Any]
 def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype = torch.float32) -> Clouds:  # noqa: ANN401
     """Make a batch of one from an Open3D cloud; row i stays row i.
 
-    Origin, colors, normals and viewpoint follow the rules of ``read_cloud``; an Open3D cloud says nothing of
-    its viewpoint.
+    Origin, colors, normals and viewpoint follow the rules of ``read_cloud``. An Open3D cloud says nothing of its
+    viewpoint, so that "auto" only assumes one; "origin" and a position are known.
 
     Args:
         pcd: an ``open3d.geometry.PointCloud`` or ``open3d.t.geometry.PointCloud``.

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import lzf
 import numpy as np
-from numpy.typing import NDArray
 
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
@@ -23,6 +22,7 @@ from torchreg.io.columns import (
     record_dtype,
     surplus,
 )
+from torchreg.io.placement import Scanner, scanner_of_file
 
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {("F", "4"), ("F", "8"), *((kind, size) for kind in "UI" for size in "1248")}
@@ -35,12 +35,12 @@ class _PcdHeader:
     encoding: str
     columns: list[Column]
     rows: int
-    viewpoint: NDArray[Any] | None
+    scanner: Scanner | None
     size: int  # bytes, up to the first point
 
 
 def read_pcd(path: Path) -> Iterator[RawCloud]:
-    """Read a PCD file. Its VIEWPOINT counts where the position is not the default zero.
+    """Read a PCD file. Its VIEWPOINT counts where the position is not zero, which is its default.
 
     Raises:
         CloudFileError: not a PCD file, a header that is wrong or that promises more than the file holds,
@@ -58,7 +58,7 @@ def read_pcd(path: Path) -> Iterator[RawCloud]:
         notes = surplus(path, header.columns, header.rows, header.size)
     else:
         columns = _read_compressed(path, header.columns, header.rows, header.size)
-    yield raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.viewpoint, notes)
+    yield raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.scanner, notes)
 
 
 def _read_header(file: BinaryIO, path: Path) -> _PcdHeader:
@@ -76,7 +76,7 @@ def _read_header(file: BinaryIO, path: Path) -> _PcdHeader:
     encoding = " ".join(lines["DATA"])
     known = ("ascii", "binary", "binary_compressed")
     require(encoding in known, path, "DATA " + " or ".join(known), excerpt(encoding))
-    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), _viewpoint(lines, path), file.tell())
+    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), _scanner(lines, path), file.tell())
 
 
 def _columns(lines: dict[str, list[str]], path: Path) -> list[Column]:
@@ -105,7 +105,7 @@ def _rows(lines: dict[str, list[str]], path: Path) -> int:
     return points
 
 
-def _viewpoint(lines: dict[str, list[str]], path: Path) -> NDArray[Any] | None:
+def _scanner(lines: dict[str, list[str]], path: Path) -> Scanner | None:
     words = lines.get("VIEWPOINT", ["0"] * 7)
     try:
         position = np.array([float(word) for word in words])[:3]
@@ -113,7 +113,7 @@ def _viewpoint(lines: dict[str, list[str]], path: Path) -> NDArray[Any] | None:
         position = np.zeros(0)
     fits = len(words) == 7 and len(position) == 3 and bool(np.isfinite(position).all())
     require(fits, path, "7 numbers after VIEWPOINT", excerpt(" ".join(words)))
-    return position if position.any() else None
+    return scanner_of_file(position, assumed=False) if position.any() else None
 
 
 def _pack_text_colors(columns: Columns, declared: list[Column]) -> tuple[str, ...]:

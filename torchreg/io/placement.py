@@ -19,10 +19,11 @@ Viewpoint = str | Sequence[float] | Tensor | None
 
 
 class Scanner(NamedTuple):
-    """A scanner's position (3,) float64, or ``None``, and where that is known from."""
+    """A scanner's position (3,) float64, or ``None``, where that comes from, and whether it is only a guess."""
 
     position: NDArray[Any] | None
     source: str
+    assumed: bool = False
 
 
 def choose_origin(points: NDArray[Any]) -> NDArray[Any]:
@@ -53,16 +54,16 @@ def checked_viewpoint(viewpoint: Viewpoint) -> str | NDArray[Any] | None:
 
 
 def place_scanner(
-    wanted: str | NDArray[Any] | None, in_file: NDArray[Any] | None, points: NDArray[Any], origin: NDArray[Any]
+    wanted: str | NDArray[Any] | None, in_file: Scanner | None, points: NDArray[Any], origin: NDArray[Any]
 ) -> Scanner:
     """Decide on the viewpoint.
 
-    "auto" takes what the file says; else the zero of the file's frame, where a terrestrial scanner stands,
-    unless the points' bounding box is more than ten of its diagonals away from it, as with UTM coordinates.
+    "auto" takes what the file says; else it assumes the zero of the file's frame, where a terrestrial scanner
+    stands, unless the points' bounding box is more than ten of its diagonals away from it, as with UTM coordinates.
 
     Args:
         wanted: a ``checked_viewpoint``; a position is meant in the file's frame.
-        in_file: (3,) what the file says, relative to ``origin``; NaN where it says that it is not known.
+        in_file: what the file says, relative to ``origin``; ``None`` where it says nothing.
         points: (N, 3) relative to ``origin``, finite.
         origin: (3,) in the file's frame.
 
@@ -76,15 +77,21 @@ def place_scanner(
     if wanted == "origin":
         return Scanner(-origin, "the origin of the file's frame, as asked for")
     if in_file is not None:
-        known = bool(np.isfinite(in_file).all())
-        return Scanner(in_file, "the file") if known else Scanner(None, "none: not known, as the file says")
+        return in_file
     low, high = points.min(axis=0), points.max(axis=0)
     outside = np.maximum(np.maximum(low + origin, -(high + origin)), 0)  # (3,), from zero to the box
     distance, diagonal = float(np.linalg.norm(outside)), float(np.linalg.norm(high - low))
     if distance > FAR_VIEWPOINT * diagonal:
         source = f"none: the frame's origin is {distance:.0f} m from points that span {diagonal:.1f} m"
         return Scanner(None, source)
-    return Scanner(-origin, "the origin of the file's frame, assumed")
+    return Scanner(-origin, "the origin of the file's frame, assumed", assumed=True)
+
+
+def scanner_of_file(position: NDArray[Any], *, assumed: bool) -> Scanner:
+    """What a file says of its scanner: a position (3,), NaN where that is not known, and whether it is a guess."""
+    if not np.isfinite(position).all():
+        return Scanner(None, "none: not known, as the file says")
+    return Scanner(position, "assumed, as the file says" if assumed else "the file", assumed)
 
 
 def viewpoint_of_text(text: str, name: str = "viewpoint") -> str | tuple[float, ...] | None:

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
 from torchreg.io.columns import Column, raw_from_columns, read_ascii, read_binary, record_dtype, surplus
-from torchreg.io.placement import FAR_COORDINATE, viewpoint_or_nan
+from torchreg.io.placement import FAR_COORDINATE, Scanner, scanner_of_file, viewpoint_or_nan
 from torchreg.types import Clouds
 
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-VIEWPOINT_COMMENT = "viewpoint"  # "comment viewpoint x y z": where the scanner stood, written by write_cloud
+# "comment viewpoint x y z": where the scanner stood, or is assumed to have stood; write_cloud leaves one of them
+KNOWN_COMMENT, ASSUMED_COMMENT = "viewpoint", "viewpoint_assumed"
 _LONGEST_HEADER = 1 << 20  # bytes
 _TYPES = {
     **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
@@ -43,7 +44,7 @@ class _Element:
 class _PlyHeader:
     encoding: str = ""
     elements: list[_Element] = field(default_factory=list)
-    viewpoint: NDArray[Any] | None = None
+    scanner: Scanner | None = None
     size: int = 0  # bytes, up to the first row
 
 
@@ -74,7 +75,7 @@ def read_ply(path: Path) -> Iterator[RawCloud]:
         columns = read_binary(path, vertex.columns, vertex.rows, header.size + skip)
         if vertex is header.elements[-1]:
             notes = surplus(path, vertex.columns, vertex.rows, header.size + skip)
-    yield raw_from_columns(str(path), f"ply {header.encoding}", columns, header.viewpoint, notes)
+    yield raw_from_columns(str(path), f"ply {header.encoding}", columns, header.scanner, notes)
 
 
 def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
@@ -95,11 +96,12 @@ def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
         for i, name in enumerate(names):
             table[name] = values[:, i]
     words = {"<f8": "double", "<f4": "float", "<u1": "uchar"}
+    word = ASSUMED_COMMENT if bool(cloud.viewpoint_assumed[0]) else KNOWN_COMMENT
     x, y, z = (viewpoint_or_nan(cloud) + cloud.origin[0]).tolist()
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment {VIEWPOINT_COMMENT} {x:.17g} {y:.17g} {z:.17g}",
+        f"comment {word} {x:.17g} {y:.17g} {z:.17g}",
         f"element vertex {len(points)}",
         *(f"property {words[kind]} {name}" for names, kind, _ in groups for name in names),
         "end_header",
@@ -129,8 +131,8 @@ def _take_line(header: _PlyHeader, words: list[str], path: Path) -> None:
     match words:
         case [] | ["obj_info", *_]:
             pass
-        case ["comment", word, *numbers] if word == VIEWPOINT_COMMENT and len(numbers) == 3:
-            header.viewpoint = _numbers(numbers)
+        case ["comment", word, *numbers] if word in (KNOWN_COMMENT, ASSUMED_COMMENT) and len(numbers) == 3:
+            header.scanner = _scanner(numbers, assumed=word == ASSUMED_COMMENT)
         case ["comment", *_]:
             pass
         case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS:
@@ -147,9 +149,9 @@ def _take_line(header: _PlyHeader, words: list[str], path: Path) -> None:
             refuse(path, "a line of a PLY 1.0 header", excerpt(" ".join(words)))
 
 
-def _numbers(words: list[str]) -> NDArray[Any] | None:
-    """The numbers of a comment; any other comment may start with the same word."""
+def _scanner(words: list[str], *, assumed: bool) -> Scanner | None:
+    """The position that a comment gives; any other comment may start with the same word."""
     try:
-        return np.array([float(word) for word in words])
+        return scanner_of_file(np.array([float(word) for word in words]), assumed=assumed)
     except ValueError:
         return None
