@@ -1,5 +1,7 @@
 """Normals: right on known surfaces, turned to the scanner, moving with the cloud, the same bits always."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from closeness import close
@@ -62,6 +64,9 @@ def test_the_viewpoint_argument_wins_over_that_of_the_cloud():
     assert (tr.estimate_normals(seen, near).normals[:, 2] < 0).all()
     assert (tr.estimate_normals(seen, near, viewpoint=ABOVE[0]).normals[:, 2] > 0).all()
     assert (tr.estimate_normals(seen, near, viewpoint=ABOVE).normals[:, 2] > 0).all()
+    guessed = replace(seen, viewpoint_assumed=torch.tensor([True]))
+    assert same_bits(tr.estimate_normals(guessed, near).normals, tr.estimate_normals(seen, near).normals)
+    assert tr.estimate_normals(guessed, near).viewpoint_assumed.tolist() == [True]
 
 
 def test_without_a_viewpoint_normals_face_the_mean_point():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from determinism import same_bits
 from problems import room_pair
 from scenes import FURNISHED, moved_pair
 
@@ -91,6 +92,20 @@ def test_the_side_of_a_surface_counts_only_where_the_scanners_are_known():
     assert float(weigh(one, turned, T).normals) < -0.9
     unknown = replace(turned, viewpoint=None)
     assert float(weigh(one, unknown, T).normals) > 0.9
+
+
+@pytest.mark.parametrize("sides", [(True, False), (False, True), (True, True)])
+def test_an_assumed_viewpoint_is_no_more_evidence_than_none(sides):
+    source, target, T = moved_pair(FURNISHED)
+    T = between_points(source, target, T)
+    T = torch.stack([T, T])
+    T[1, 0, 3] += 0.8  # into free space that the scanners saw
+    clouds = prepared(source), prepared(target)
+    guess = torch.tensor([True])
+    guessed = [replace(one, viewpoint_assumed=guess) if side else one for one, side in zip(clouds, sides, strict=True)]
+    blind = [replace(one, viewpoint=None) if side else one for one, side in zip(clouds, sides, strict=True)]
+    assert same_bits(weigh(*guessed, *T), weigh(*blind, *T))
+    assert not same_bits(weigh(*guessed, *T), weigh(*clouds, *T))
 
 
 def test_clouds_far_apart_have_nothing_in_common():

@@ -179,7 +179,7 @@ def _about_point(points: Tensor, draw: torch.Generator) -> Tensor:
 
 
 def _scanner(cloud: Clouds) -> Tensor:
-    """Where the scanner stood, (1, 3) float64, or zeros where it is not known."""
+    """Where the scanner stood or is assumed to have stood, (1, 3) float64, or zeros without a viewpoint."""
     zero = cloud.points.new_zeros(1, 3, dtype=torch.float64)
     if cloud.viewpoint is None:
         return zero

@@ -27,9 +27,9 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     Args:
         cloud: P points.
         near: the support of every point (the paper: 2 m, 30 nearest), the point itself counted.
-        viewpoint: (3,) or (B, 3) meters in the frame of ``points``; ``None`` takes that of the clouds. Where
-            it is not known, normals are turned to the mean point of the cloud: a rule that moves with the cloud,
-            but may turn them away from the scanner.
+        viewpoint: (3,) or (B, 3) meters in the frame of ``points``; ``None`` takes that of the clouds, whether
+            it is known or only assumed. Where there is none, normals are turned to the mean point of the cloud: a
+            rule that moves with the cloud, but may turn them away from the scanner, as an assumed viewpoint may.
 
     Returns:
         The clouds with ``normals`` set. With fewer than 3 points in its support, or points all in one place, a
@@ -96,8 +96,8 @@ def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
             continue
         center = stable_sum(points) / len(points)
         if viewpoint is not None:
-            known = torch.isfinite(viewpoint[b]).all()
-            center = torch.where(known, viewpoint[b].double(), center)
+            given = torch.isfinite(viewpoint[b]).all()
+            center = torch.where(given, viewpoint[b].double(), center)
         out[begin:end] = center - points
     return out
 

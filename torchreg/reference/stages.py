@@ -46,14 +46,14 @@ def voxel_downsample(cloud: Clouds, voxel_size: float) -> Clouds:
 
 
 def estimate_normals(cloud: Clouds, radius: float, max_neighbors: int) -> Clouds:
-    """Clouds with normals that face the viewpoint, or their own mean point where it is not known."""
+    """Clouds with normals that face the viewpoint, known or assumed, or their own mean point where there is none."""
 
     def of_one(single: Clouds) -> Tensor:
         pcd = point_cloud(replace(single, normals=None))
         pcd.estimate_normals(hybrid(positive(radius, "radius"), at_least(max_neighbors, "max_neighbors", 3)))
         viewpoint = single.viewpoint
-        known = viewpoint is not None and bool(torch.isfinite(viewpoint).all())
-        towards = wide(viewpoint[0]) if viewpoint is not None and known else wide(single.points).mean(dim=0)
+        given = viewpoint is not None and bool(torch.isfinite(viewpoint).all())
+        towards = wide(viewpoint[0]) if viewpoint is not None and given else wide(single.points).mean(dim=0)
         pcd.orient_normals_towards_camera_location(towards.numpy())
         return rows(pcd.normals)
 

@@ -1,8 +1,10 @@
 """The scans of one side, source or target, of a group of pairs, prepared for poses to be weighed on them.
 
-Of every scan there is an even sample of its points, a search tree over all of them, and an image of the ranges that its
-scanner measured. Coordinates stand apart, (3, G, L), and the samples are filled up with zeros to one length L, so that
-one operation serves the poses of all pairs and sums keep their order (``geometry.numerics.sums``).
+Of every scan there is an even sample of its points, a search tree over all of them, and where the position of its
+scanner is known, an image of the ranges that it measured. A position that is only assumed is no evidence: neither free
+space nor the signs of normals follow from it. Coordinates stand apart, (3, G, L), and the samples are filled up with
+zeros to one length L, so that one operation serves the poses of all pairs and sums keep their order
+(``geometry.numerics.sums``).
 """
 
 from __future__ import annotations
@@ -65,9 +67,10 @@ def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshol
     normals, colors = planes([cloud.normals for cloud in clouds]), planes([cloud.colors for cloud in clouds])
     colors = None if colors is None else colors.double()
     trees = [PointIndex(cloud.points) for cloud in clouds]
+    faced = torch.cat([cloud.viewpoint_known for cloud in clouds])
     images = [
-        None if cloud.viewpoint is None else range_image(cloud.points, cloud.viewpoint[0], spacing)
-        for cloud, spacing in zip(clouds, spacings, strict=True)
+        range_image(cloud.points, cloud.viewpoint[0], spacing) if cloud.viewpoint is not None and is_known else None
+        for cloud, spacing, is_known in zip(clouds, spacings, faced.tolist(), strict=True)
     ]
     known = [image for image in images if image is not None]
     seen = torch.tensor([image is not None for image in images])
@@ -82,7 +85,7 @@ def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshol
         all_colors=colors,
         sizes=sizes,
         origin=torch.cat([cloud.origin for cloud in clouds]),
-        faced=torch.tensor([_has_known_scanner(cloud) for cloud in clouds], device=device),
+        faced=faced,
         search=PartnerSearch(occupancy(points, sizes, threshold), trees, offsets_of(sizes)[:-1].tolist()),
         images=side_by_side(known) if known else None,
         image=torch.where(seen, seen.cumsum(0) - 1, -1).to(device),
@@ -105,7 +108,3 @@ def rotated(rotation: Tensor, planes: Tensor) -> Tensor:
         torch.mul(rotation[:, i, 0, None], x, out=out[i])
         out[i].add_(rotation[:, i, 1, None] * y).add_(rotation[:, i, 2, None] * z)
     return out
-
-
-def _has_known_scanner(cloud: Clouds) -> bool:
-    return cloud.viewpoint is not None and bool(torch.isfinite(cloud.viewpoint).all())
