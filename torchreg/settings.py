@@ -86,8 +86,9 @@ class StageSettings:
     viewpoint: str = setting(
         "auto",
         "Input",
-        "Position of the scanner, towards which normals are turned. auto: as the file says, else the zero of its "
-        "frame. origin: that zero. none: not known. X,Y,Z: a position in meters in the frame of both files.",
+        "Position of the scanner, towards which normals are turned. auto: as the file says; where it says nothing, "
+        "the zero of its frame is assumed, and that guess is no evidence for or against a pose. origin: the scanner "
+        "stood at that zero. none: not known. X,Y,Z: a known position in meters in the frame of both files.",
         metavar="auto|origin|none|X,Y,Z",
     )
     preset: str = setting(

@@ -1,6 +1,7 @@
 """Files and a runner for the command line."""
 
 import os
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -43,6 +44,20 @@ def run(monkeypatch):
         return result
 
     return run
+
+
+@pytest.fixture
+def plain(tmp_path):
+    """Copy a PLY file without its comments, so that it says nothing of its scanner, and return the path."""
+
+    def copy(path):
+        header, rows = Path(path).read_bytes().split(b"end_header\n", 1)
+        lines = [line for line in header.splitlines(keepends=True) if not line.startswith(b"comment")]
+        bare = tmp_path / f"plain_{Path(path).name}"
+        bare.write_bytes(b"".join([*lines, b"end_header\n", rows]))
+        return bare
+
+    return copy
 
 
 @pytest.fixture

@@ -34,8 +34,20 @@ def test_info_as_json(run, room):
     assert found["spacing"] == pytest.approx(float(tr.spacing(cloud)))
     assert found["options"]["normal_radius"] == pytest.approx(tr.derive_options(cloud, cloud)[0].normal_radius)
     assert found["viewpoint"] == pytest.approx((cloud.viewpoint[0] + cloud.origin[0]).tolist(), abs=1e-6)
+    assert found["viewpoint_known"] is True
     assert found["cannot_be_registered"] is None
-    assert json.loads(run("info", room.source, "--json", "--viewpoint", "none").stdout)["viewpoint"] is None
+    none = json.loads(run("info", room.source, "--json", "--viewpoint", "none").stdout)
+    assert (none["viewpoint"], none["viewpoint_known"]) == (None, False)
+
+
+def test_info_tells_an_assumed_viewpoint_from_a_known_one(run, room, plain):
+    path = plain(room.source)
+    assert "the origin of the file's frame, assumed" in run("info", path).stdout
+    assert "the origin of the file's frame, as asked for" in run("info", path, "--viewpoint", "origin").stdout
+    for viewpoint in ("auto", "origin"):
+        found = json.loads(run("info", path, "--json", "--viewpoint", viewpoint).stdout)
+        assert found["viewpoint"] == [0, 0, 0]
+        assert found["viewpoint_known"] is (viewpoint == "origin")
 
 
 def test_info_on_what_cannot_be_registered(run, cloud_file):

@@ -108,6 +108,14 @@ def test_viewpoint_is_handed_to_the_reader(run, room):
     assert "no viewpoint" not in run("register", room.source, room.target, "--viewpoint", "1,2,0.5").stdout
 
 
+def test_a_plain_file_is_said_to_have_an_assumed_viewpoint_only(run, room, plain):
+    bare = [plain(path) for path in (room.source, room.target)]
+    assumed = "position is only assumed for the source and the target"
+    assert assumed in " ".join(run("register", *bare).stdout.split())
+    assert "assumed" not in run("register", *bare, "--viewpoint", "origin").stdout
+    assert "assumed" not in run("register", room.source, room.target).stdout
+
+
 def test_threads(run, room):
     before = torch.get_num_threads()
     try:

@@ -1,12 +1,14 @@
 """What a pair lacks is said before anything is computed."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from determinism import same_bits
 from problems import random_rotation, room_pair
 
 import torchreg as tr
-from torchreg.registration.inspect import notes_on, refuse, set_aside
+from torchreg.registration.inspect import facts_of, notes_on, refuse, set_aside
 
 GOOD = tr.Clouds(points=torch.rand(10, 3, generator=torch.Generator().manual_seed(0)))
 
@@ -86,6 +88,27 @@ def test_notes_name_what_is_missing():
     first, _ = notes_on(bare, bare, options)
     assert first[0].startswith("no colors in source and target")
     assert [note.split(":")[0] for note in first[1:]] == ["no viewpoint for the source", "no viewpoint for the target"]
+
+
+def test_notes_name_the_sides_whose_viewpoint_is_assumed():
+    known = room_pair(50).source
+    guessed, bare = replace(known, viewpoint_assumed=torch.tensor([True])), replace(known, viewpoint=None)
+    words = "the scanner's position is only assumed for the "
+    for source, target, starts in (
+        (guessed, known, [f"{words}source"]),
+        (known, guessed, [f"{words}target"]),
+        (guessed, guessed, [f"{words}source and the target"]),
+        (guessed, bare, ["no viewpoint for the target", f"{words}source"]),
+    ):
+        (notes,) = notes_on(source, target, (tr.PAPER,))
+        assert [note.split(":")[0] for note in notes] == starts
+
+
+def test_the_facts_of_a_cloud_tell_a_known_viewpoint_from_a_guess_and_from_none():
+    known = room_pair(50).source
+    guessed, bare = replace(known, viewpoint_assumed=torch.tensor([True])), replace(known, viewpoint=None)
+    facts = facts_of(tr.Clouds.pack([known, guessed, bare]))
+    assert [(one.faced, one.assumed) for one in facts] == [(True, False), (False, True), (False, False)]
 
 
 def test_a_viewpoint_of_nan_counts_as_unknown():

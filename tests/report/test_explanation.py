@@ -190,6 +190,7 @@ def options(**changes):
 TIGHT = replace(OPTIONS.ransac, inlier_threshold=0.01)
 NO_VIEWPOINT = replace(FOUR_POINTS, viewpoint=None)
 UNKNOWN_VIEWPOINT = replace(FOUR_POINTS, viewpoint=torch.full((1, 3), math.nan))
+ASSUMED_VIEWPOINT = replace(FOUR_POINTS, viewpoint_assumed=torch.tensor([True]))
 NO_COLORS = {"source": replace(FOUR_POINTS, colors=None), "target": replace(FOUR_POINTS, colors=None)}
 MATCHES = (PROPOSALS[0]._replace(matches=40),)
 # what changes -> (kind of failure, fields, words of the setting, the figure it follows from)
@@ -227,8 +228,9 @@ ADVICE = {
     "colors": ("ambiguous", NO_COLORS, "clouds with colors", "geometry alone was matched"),
     "colors of one": ("ambiguous", {"target": NO_COLORS["target"]}, "clouds with colors", "geometry alone was matched"),
     "color off": ("ambiguous", {"options": options(color=())}, "descriptors of color", "geometry alone"),
-    "viewpoint": ("ambiguous", {"source": NO_VIEWPOINT}, "viewpoint", "no viewpoint for the source"),
-    "unknown viewpoint": ("ambiguous", {"target": UNKNOWN_VIEWPOINT}, "viewpoint", "no viewpoint for the target"),
+    "viewpoint": ("ambiguous", {"source": NO_VIEWPOINT}, "viewpoint", "not known for the source"),
+    "unknown viewpoint": ("ambiguous", {"target": UNKNOWN_VIEWPOINT}, "viewpoint", "not known for the target"),
+    "assumed viewpoint": ("ambiguous", {"target": ASSUMED_VIEWPOINT}, "viewpoint", "not known for the target"),
     "context": (
         "ambiguous",
         {"margin": number(0.5)},

@@ -53,8 +53,7 @@ def info(file: CloudPath, json: JsonSwitch = False, viewpoint: opt.ViewpointText
 
 def _content(file: CloudFile, apart: float, options: RegistrationOptions | None, defect: str) -> dict[str, object]:
     viewpoint = file.cloud.viewpoint
-    known = viewpoint is not None and not bool(viewpoint.isnan().any())
-    position = (viewpoint[0].double() + file.cloud.origin[0]).tolist() if viewpoint is not None and known else None
+    position = None if viewpoint is None else (viewpoint[0].double() + file.cloud.origin[0]).tolist()
     return {
         "file": file.path,
         "format": file.format,
@@ -64,6 +63,7 @@ def _content(file: CloudFile, apart: float, options: RegistrationOptions | None,
         "color_depth": file.color_depth,
         "has_normals": file.has_normals,
         "viewpoint": position,
+        "viewpoint_known": bool(file.cloud.viewpoint_known[0]),
         "viewpoint_source": file.viewpoint_source,
         "origin": file.cloud.origin[0].tolist(),
         "extent": list(file.extent),

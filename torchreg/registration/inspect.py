@@ -26,6 +26,7 @@ class CloudFacts(NamedTuple):
     defect: Failure | None
     colors: tuple[float, float] | None  # the least and the greatest number among its colors; ``None`` without colors
     faced: bool  # whether its viewpoint is known
+    assumed: bool  # whether it has a viewpoint that is only a guess
 
 
 def facts_of(clouds: Clouds) -> tuple[CloudFacts, ...]:
@@ -84,8 +85,12 @@ def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOpti
     if bare:
         notes.append(f"no colors in {' and '.join(bare)}: geometry alone is matched")
     for name, facts in sides:
-        if not facts.faced:
+        if not facts.faced and not facts.assumed:
             notes.append(f"no viewpoint for the {name}: its normals are turned to its mean point")
+    guessed = [name for name, facts in sides if facts.assumed]
+    if guessed:
+        consequence = "normals are turned to it to propose poses, but neither their signs nor free space are evidence"
+        notes.append(f"the scanner's position is only assumed for the {' and the '.join(guessed)}: {consequence}")
     for name, facts in sides:
         if facts.colors is not None and (facts.colors[0] < 0 or facts.colors[1] > 1):
             low, high = facts.colors
@@ -108,7 +113,8 @@ def _facts(cloud: Clouds) -> CloudFacts:
         extent=extent,
         defect=_defect(cloud),
         colors=colors,
-        faced=cloud.viewpoint is not None and bool(torch.isfinite(cloud.viewpoint).all()),
+        faced=bool(cloud.viewpoint_known.all()),
+        assumed=bool(cloud.viewpoint_assumed.any()),
     )
 
 

@@ -101,7 +101,10 @@ def layout_of(source: NDArray[Any], scene: Scene) -> Layout:
 
 
 def _from_behind(scene: Scene, view: View) -> bool:
-    """Whether the scanner stood on the far side of all it saw, as a camera does: the view is then from there."""
+    """Whether the scanner stood on the far side of all it saw, as a camera does: the view is then from there.
+
+    A guess will do for a picture: the viewpoint counts whether it is known or assumed.
+    """
     viewpoint = scene.clouds[1].viewpoint
     if viewpoint is None or len(scene.target) == 0:
         return False

@@ -124,7 +124,8 @@ def _colors(facts: Facts) -> str:
 def _viewpoint(facts: Facts) -> str:
     if facts.options is None or not facts.unknown_viewpoints:
         return ""
-    return f"the place of the scanner, as viewpoint: no viewpoint for the {' and the '.join(facts.unknown_viewpoints)}"
+    sides = " and the ".join(facts.unknown_viewpoints)
+    return f"the place of the scanner, as viewpoint: it is not known for the {sides}"
 
 
 def _context(facts: Facts) -> str:

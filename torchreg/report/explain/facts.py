@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.registration.options import RegistrationOptions
-from torchreg.types import Candidate, Clouds, Failure, RegistrationResult, StageCounts
+from torchreg.types import Candidate, Failure, RegistrationResult, StageCounts
 from torchreg.types.packing import spans
 
 WEAK, FIRM_STRENGTH = 0.03, 0.1
@@ -26,7 +26,7 @@ class Facts(NamedTuple):
     failure: Failure | None
     notes: tuple[str, ...]
     colored: bool  # whether both clouds that were matched have colors
-    unknown_viewpoints: tuple[str, ...]  # which of "source" and "target" have none
+    unknown_viewpoints: tuple[str, ...]  # of which of "source" and "target" it is not known
     options: RegistrationOptions | None
     stages: StageCounts | None
     matches: int  # number of correspondences
@@ -71,7 +71,7 @@ def facts_of(result: RegistrationResult, pair: int) -> Facts:
         failure=result.failure[pair],
         notes=result.notes[pair] if result.notes else (),
         colored=all(clouds.colors is not None for clouds in sides.values()),
-        unknown_viewpoints=tuple(name for name, clouds in sides.items() if not _has_viewpoint(clouds, pair)),
+        unknown_viewpoints=tuple(name for name, clouds in sides.items() if not clouds.viewpoint_known[pair]),
         options=result.options[pair] if result.options else None,
         stages=result.stages[pair] if result.stages else None,
         matches=end - begin,
@@ -88,10 +88,6 @@ def facts_of(result: RegistrationResult, pair: int) -> Facts:
         apart=_apart(result, pair, candidates) if posed else None,
         candidates=candidates,
     )
-
-
-def _has_viewpoint(clouds: Clouds, pair: int) -> bool:
-    return clouds.viewpoint is not None and bool(clouds.viewpoint[pair].isfinite().all())
 
 
 def _known(values: Tensor | None, pair: int) -> float | None:
