@@ -21,7 +21,7 @@ from results import (
 )
 
 import torchreg as tr
-from torchreg.report.explain.advice import CLOUD_RULES, FIRST_RULES
+from torchreg.report.explain.advice import CLOUD_RULES, FIRST_RULES, IMPOSTOR_RULES
 from torchreg.report.text import chance, columns, odds, percent, share
 from torchreg.types.failure import KINDS
 
@@ -171,10 +171,10 @@ def test_every_failure_is_explained_and_answered(kind):
 
 
 def test_every_kind_of_failure_has_its_rules():
-    """In one of two tables: clouds that no setting helps, and failures that some setting may prevent."""
-    assert {*CLOUD_RULES, *FIRST_RULES} == set(KINDS)
-    assert not {*CLOUD_RULES} & {*FIRST_RULES}
+    """In one of three tables: clouds and pairs that no setting helps, and failures that some setting may prevent."""
+    assert sorted([*CLOUD_RULES, *IMPOSTOR_RULES, *FIRST_RULES]) == sorted(KINDS)
     assert all(FIRST_RULES.values())
+    assert all(IMPOSTOR_RULES.values())
     of_clouds = KINDS[: KINDS.index("too few matches")]
     assert tuple(CLOUD_RULES) == of_clouds
 
@@ -199,7 +199,7 @@ ADVICE = {
         "too few points",
         {"stages": few(points=(100, 9950))},
         "smaller voxel_size (now 0.05 m)",
-        "100 points",
+        "only 100 of the 30,433 points of the source",
     ),
     "few given": ("too few points", {"stages": few(given=(3, 9), points=(3, 9))}, "denser clouds", "3 points"),
     "few features": (
@@ -230,7 +230,12 @@ ADVICE = {
     "color off": ("ambiguous", {"options": options(color=())}, "descriptors of color", "geometry alone"),
     "viewpoint": ("ambiguous", {"source": NO_VIEWPOINT}, "viewpoint", "not known for the source"),
     "unknown viewpoint": ("ambiguous", {"target": UNKNOWN_VIEWPOINT}, "viewpoint", "not known for the target"),
-    "assumed viewpoint": ("ambiguous", {"target": ASSUMED_VIEWPOINT}, "viewpoint", "not known for the target"),
+    "assumed viewpoint": (
+        "ambiguous",
+        {"target": ASSUMED_VIEWPOINT},
+        'viewpoint ("origin" for',
+        "only assumed for the target",
+    ),
     "context": (
         "ambiguous",
         {"margin": number(0.5)},
@@ -272,6 +277,32 @@ def test_clouds_that_cannot_be_registered_at_all():
     assert line(degenerate.explain(), "Verdict").endswith("lie on one line")
     assert advice(degenerate).strip() == "other clouds: the reason says why"
     assert advice(failed_result("too few points", **refused)).strip() == "denser clouds: one has only 3 points"
+
+
+IMPOSTORS = {
+    "units": ({"factor": 1000.0}, "divide the coordinates of the larger one by 1000"),
+    "mirrored": ({}, "handedness"),
+    "scaled": ({"factor": 0.9091}, "multiply the source's coordinates by 0.9091"),
+}
+
+
+@pytest.mark.parametrize("kind", IMPOSTORS)
+def test_an_impostor_gets_the_one_advice_that_helps(kind):
+    """Whatever else the figures may say: a larger radius mends no mirrored cloud."""
+    figures, words = IMPOSTORS[kind]
+    poor = {"margin": number(0.1), "strength": number(0.01), "overlap": number(0.05), "stages": few(points=(42, 9950))}
+    (only,) = advice(failed_result(kind, **poor, failure=(tr.Failure(kind, kind, figures),))).splitlines()
+    assert words in only
+    assert "radius" not in only
+
+
+@pytest.mark.parametrize("kind", FIRST_RULES)
+def test_voxels_that_leave_hardly_any_points_are_said_first(kind):
+    """The larger cloud may be the one that suffers: the counts of one cloud are compared, not the least of both."""
+    for given, points in (((1397, 1200), (42, 900)), ((1200, 1397), (900, 42))):
+        first = advice(failed_result(kind, stages=few(given=given, points=points))).splitlines()[0]
+        name = "source" if points[0] == 42 else "target"
+        assert f"voxel_size (now 0.05 m): it leaves only 42 of the 1,397 points of the {name}" in first
 
 
 @pytest.mark.parametrize(("surprise", "shown"), [(41.7, "10^-42"), (0.2, "1"), (-0.0, "1"), (math.nan, "-")])

@@ -13,10 +13,13 @@ KINDS = (
     "not finite",
     "too wide",
     "degenerate",
+    "units",
     # of the matches
     "too few matches",
     "no hypothesis",
     "no consensus",
+    "mirrored",
+    "scaled",
     # of the best pose
     "ambiguous",
     "sliding",

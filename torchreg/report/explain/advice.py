@@ -16,6 +16,7 @@ from torchreg.solvers import RansacOptions
 _MOST = 2
 _LIKELY = 0.9
 _FEW_POINTS, _FEW_MATCHES = 500, 200
+_HARDLY_ANY = 100  # points
 _FEW_FEATURES = 0.8  # of the points
 _FEW_INLIERS = 0.05  # of the matches
 _FINE = 0.75  # voxels: a threshold below that is finer than the points
@@ -31,23 +32,47 @@ def advice(facts: Facts) -> list[str]:
             return ['nothing in the matches; an effort other than "plain" weighs the pose against the clouds as well']
         return [f"nothing needs to change (probability {chance(facts.probability)})"]
     kind = "" if facts.failure is None else facts.failure.kind
-    in_clouds = kind in CLOUD_RULES
-    rules = CLOUD_RULES[kind] if in_clouds else tuple(dict.fromkeys((*FIRST_RULES.get(kind, ()), *_GENERAL_RULES)))
-    texts = [text for rule in rules if (text := rule(facts))][:_MOST]
-    nothing = "other clouds: the reason says why" if in_clouds else "no figure above points to one setting"
+    only = {**CLOUD_RULES, **IMPOSTOR_RULES}.get(kind)
+    first = (_hardly_any, *FIRST_RULES.get(kind, ()))
+    rules = dict.fromkeys((*first, *_GENERAL_RULES)) if only is None else only
+    texts = list(dict.fromkeys(text for rule in rules if (text := rule(facts))))[:_MOST]
+    nothing = "no figure above points to one setting" if only is None else "other clouds: the reason says why"
     return texts or [nothing]
 
 
 def _points(facts: Facts) -> str:
     if facts.stages is None:
         return ""
-    given = min(facts.stages.given)
-    left = min(facts.stages.points) or given  # a pair refused for its clouds was not downsampled, and has none left
+    sides = zip(("source", "target"), facts.stages.given, facts.stages.points, strict=True)
+    # a pair refused for its clouds was not downsampled, and has none left
+    left, given, name = min((points or count, count, name) for name, count, points in sides)
     if left >= _FEW_POINTS:
         return ""
     if facts.options is not None and facts.options.voxel_size is not None and given > 2 * left:
-        return f"a smaller voxel_size (now {meters(facts.options.voxel_size)}): it leaves only {left:,} points"
+        smaller = f"a smaller voxel_size (now {meters(facts.options.voxel_size)})"
+        return f"{smaller}: it leaves only {left:,} of the {given:,} points of the {name}"
     return f"denser clouds: one has only {left:,} points"
+
+
+def _hardly_any(facts: Facts) -> str:
+    """As ``_points`` where so few are left that nothing else is to blame."""
+    return _points(facts) if facts.stages is not None and min(facts.stages.points) < _HARDLY_ANY else ""
+
+
+def _units(facts: Facts) -> str:
+    factor = 0.0 if facts.failure is None else facts.failure.figures.get("factor", 0.0)
+    return f"both clouds in one unit: divide the coordinates of the larger one by {factor:g}" if factor else ""
+
+
+def _handedness(facts: Facts) -> str:
+    return "clouds of one handedness: check both exports, or change the sign of one axis of one cloud"
+
+
+def _scale(facts: Facts) -> str:
+    factor = 0.0 if facts.failure is None else facts.failure.figures.get("factor", 0.0)
+    return (
+        f"clouds of one scale: multiply the source's coordinates by {factor:.5g}, or check the units" if factor else ""
+    )
 
 
 def _voxels(facts: Facts) -> str:
@@ -125,6 +150,8 @@ def _viewpoint(facts: Facts) -> str:
     if facts.options is None or not facts.unknown_viewpoints:
         return ""
     sides = " and the ".join(facts.unknown_viewpoints)
+    if facts.assumed_viewpoints == facts.unknown_viewpoints:
+        return f'the place of the scanner, as viewpoint ("origin" for the zero): it is only assumed for the {sides}'
     return f"the place of the scanner, as viewpoint: it is not known for the {sides}"
 
 
@@ -178,8 +205,15 @@ CLOUD_RULES: dict[str, tuple[_Rule, ...]] = {
     "not finite": (),
     "too wide": (_voxels,),
     "degenerate": (),
+    "units": (_units,),
 }
 """By kind of failure, for clouds that cannot be registered with any setting; no other rule is asked then."""
+
+IMPOSTOR_RULES: dict[str, tuple[_Rule, ...]] = {
+    "mirrored": (_handedness,),
+    "scaled": (_scale,),
+}
+"""By kind of failure, for pairs that no rigid transform explains: no setting helps, and no other rule is asked."""
 
 FIRST_RULES: dict[str, tuple[_Rule, ...]] = {
     "too few matches": (_features, _matches),

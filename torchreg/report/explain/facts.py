@@ -27,6 +27,7 @@ class Facts(NamedTuple):
     notes: tuple[str, ...]
     colored: bool  # whether both clouds that were matched have colors
     unknown_viewpoints: tuple[str, ...]  # of which of "source" and "target" it is not known
+    assumed_viewpoints: tuple[str, ...]  # of those, for which there is a guess
     options: RegistrationOptions | None
     stages: StageCounts | None
     matches: int  # number of correspondences
@@ -72,6 +73,7 @@ def facts_of(result: RegistrationResult, pair: int) -> Facts:
         notes=result.notes[pair] if result.notes else (),
         colored=all(clouds.colors is not None for clouds in sides.values()),
         unknown_viewpoints=tuple(name for name, clouds in sides.items() if not clouds.viewpoint_known[pair]),
+        assumed_viewpoints=tuple(name for name, clouds in sides.items() if clouds.viewpoint_assumed[pair]),
         options=result.options[pair] if result.options else None,
         stages=result.stages[pair] if result.stages else None,
         matches=end - begin,
