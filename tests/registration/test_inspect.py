@@ -56,9 +56,10 @@ def test_any_line_is_seen(seed):
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
 def test_a_plane_and_a_volume_are_taken(scale):
     flat = scale * torch.rand(10, 3, generator=torch.Generator().manual_seed(2))
-    assert refuse(tr.Clouds(points=flat), GOOD) == [None]
+    good = tr.Clouds(points=scale * GOOD.points)
+    assert refuse(tr.Clouds(points=flat), good) == [None]
     flat[:, 1] = 0
-    assert refuse(tr.Clouds(points=flat), GOOD) == [None]
+    assert refuse(tr.Clouds(points=flat), good) == [None]
 
 
 def test_every_pair_has_its_own_reason():

@@ -17,7 +17,7 @@ from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
-_FORMAT = 5
+_FORMAT = 6
 _CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results without a trace
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.units import Lengths, feet_note, rough_spacing, units_failure
 from torchreg.types import Clouds, Failure
 from torchreg.types.packing import kept_rows
 
@@ -22,11 +23,17 @@ class CloudFacts(NamedTuple):
 
     points: int  # how many
     extent: float  # meters, the longest edge of its bounding box; 0 where that means nothing
+    spacing: float  # meters, of its points, to some 15 %; 0 where that means nothing
     # why it cannot be registered, ``{}`` in its text standing for its role in a pair; ``None`` where it can
     defect: Failure | None
     colors: tuple[float, float] | None  # the least and the greatest number among its colors; ``None`` without colors
     faced: bool  # whether its viewpoint is known
     assumed: bool  # whether it has a viewpoint that is only a guess
+
+    @property
+    def lengths(self) -> Lengths:
+        """Extent and spacing."""
+        return Lengths(self.extent, self.spacing)
 
 
 def facts_of(clouds: Clouds) -> tuple[CloudFacts, ...]:
@@ -44,6 +51,9 @@ def refusal(source: CloudFacts, target: CloudFacts, options: RegistrationOptions
     for name, facts in (("source", source), ("target", target)):
         if facts.defect is not None:
             return _in_role(facts.defect, name)
+    units = units_failure(source.lengths, target.lengths)
+    if units is not None:
+        return units
     if options is not None:
         for name, facts in (("target", target), ("source", source)):
             failure = too_wide(facts, options.voxel_size)
@@ -95,6 +105,9 @@ def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOpti
         if facts.colors is not None and (facts.colors[0] < 0 or facts.colors[1] > 1):
             low, high = facts.colors
             notes.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
+    feet = feet_note(source.lengths, target.lengths)
+    if feet:
+        notes.append(feet)
     if options.voxel_size is not None:
         notes.append(f"downsampled to voxels of {options.voxel_size:.3g} m")
     return tuple(notes)
@@ -108,10 +121,12 @@ def _facts(cloud: Clouds) -> CloudFacts:
         colors = (0.0, 0.0) if empty else (float(cloud.colors.amin()), float(cloud.colors.amax()))
     if len(cloud.points) > 0:
         extent = float((cloud.points.amax(dim=0) - cloud.points.amin(dim=0)).amax())
+    defect = _defect(cloud)
     return CloudFacts(
         points=len(cloud.points),
         extent=extent,
-        defect=_defect(cloud),
+        spacing=0.0 if defect else rough_spacing(cloud),
+        defect=defect,
         colors=colors,
         faced=bool(cloud.viewpoint_known.all()),
         assumed=bool(cloud.viewpoint_assumed.any()),
