@@ -15,9 +15,11 @@ from torchreg.solvers import PairPoses, hypothesis_counts
 from torchreg.types import Candidate, Clouds, Correspondences, Failure, RegistrationResult
 from torchreg.types.packing import offsets_of, spans
 from torchreg.verification.candidates import HALF_TURN, SLIDE, Candidates, Choice, Poses, runs_of
+from torchreg.verification.impostors import impostor
 from torchreg.verification.model import probabilities
 from torchreg.verification.pairs import CenteredPair, ProposedPoses
 from torchreg.verification.reasons import failure_of
+from torchreg.verification.similarity import RigidFit
 
 _PROBES = {SLIDE: "slide", HALF_TURN: "half turn"}
 
@@ -145,14 +147,19 @@ def _verdict(
     proposal = int(weighed.proposal[0])
     matches = pair.matches[proposal]
     residual = apply_rotation(R, matches.source) + t - matches.target
+    inliers = residual.square().sum(dim=1) < pair.lengths.threshold**2
+    impossible = impostor(matches, pair.lengths.threshold, RigidFit(inliers, float(weighed.surprise[0])))
+    if impossible is not None:  # then no rigid pose is right
+        described = tuple(each._replace(probability=0.0) for each in described)
     best, several = described[0], len(described) > 1
     return Verdict(
         T=best.T_target_source,
         proposal=proposal,
-        inliers=residual.square().sum(dim=1) < pair.lengths.threshold**2,
+        inliers=inliers,
         fitness=float(near.fitness),
         inlier_rmse=float(near.inlier_rmse),
-        failure=failure_of(weighed, [each.probability for each in described], strength, pair.source.points, least),
+        failure=impossible
+        or failure_of(weighed, [each.probability for each in described], strength, pair.source.points, least),
         probability=best.probability,
         overlap=best.overlap,
         information=information,

@@ -1,0 +1,86 @@
+"""How lengths between matches compare in the two clouds: the factor that most of them share.
+
+Where k of M matches agree under some motion, mirrored or not, and some factor s, about (k / M)^2 of the lengths between
+two matches have
+
+    |q_i - q_j| / |p_i - p_j| = s
+
+up to noise, beside those that have it by chance. The ratios are counted in bins of equal ratio, those by chance from
+lengths of the one cloud beside lengths of other matches in the other. The excess of the fullest bins then names s, and
+k = M (excess / lengths)^(1/2) before any pose is known.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+_LENGTHS = 1 << 15  # that are compared
+_LEAST = 10.0  # thresholds: noise moves the ratio of shorter lengths by more than a few bins
+_STEP = 0.01  # of the logarithm: bins of 1 %
+_BINS = 139  # on either side of the factor 1: up to a factor of 4
+_REPAIRINGS = 2
+
+
+class LengthRatios(NamedTuple):
+    """The factor at which ratios of lengths peak, and what the peak implies."""
+
+    factor: float  # lengths in the target over lengths in the source, to about 1 %; 1 stands for 0.985 to 1.015
+    support: float  # matches that agree at this factor, under a motion or a reflection; somewhat too few
+    support_at_one: float  # matches that agree at the factor 1, likewise
+
+
+def length_ratios(source: Tensor, target: Tensor, threshold: float) -> LengthRatios:
+    """Compare lengths between matches, source and target (M, 3) float64 in meters, M >= 2; an inlier's threshold.
+
+    An even choice of lengths, elementwise operations and whole numbers: nothing is drawn, and threads change no bit.
+    """
+    count = len(source)
+    first, second = _pairs(count, source.device)
+    p, q = (_squared_lengths(side, first, second) for side in (source, target))
+    least = (_LEAST * threshold) ** 2
+    counts, lengths = _counts(p, q, least)
+    by_chance = torch.zeros_like(counts)
+    for step in range(1, _REPAIRINGS + 1):
+        other, number = _counts(p, q.roll(step * len(q) // (_REPAIRINGS + 1)), least)
+        by_chance += other * (lengths / max(1, number)) / _REPAIRINGS
+    excess = (counts - by_chance).unfold(0, 3, 1).sum(dim=1).tolist()  # of three bins: the middle one is named
+    one = _BINS - 1  # the bin of the factor 1, among middles
+    at_one = max(excess[one - 1 : one + 2])
+    fullest = max(range(len(excess)), key=excess.__getitem__)
+    factor = 1.0 if abs(fullest - one) <= 1 else math.exp(_STEP * (fullest - one))
+
+    def implied(amount: float) -> float:
+        return count * math.sqrt(max(0.0, amount) / max(1, lengths))
+
+    return LengthRatios(factor, implied(excess[fullest]), implied(at_one))
+
+
+def _pairs(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Rows (L,) of the first and second of pairs of matches: all rows beside rows some even steps further on."""
+    steps = max(1, min(count - 1, _LENGTHS // count))
+    apart = torch.tensor([1 + (k * (count - 1)) // steps for k in range(steps)], device=device)
+    stride = max(1, -(-count // _LENGTHS))
+    first = torch.arange(0, count, stride, device=device)
+    second = (first + apart[:, None]) % count
+    return first.expand_as(second).flatten(), second.flatten()
+
+
+def _squared_lengths(points: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    square = torch.zeros(len(first), dtype=points.dtype, device=points.device)
+    for axis in points.t().contiguous():
+        apart = axis[first] - axis[second]
+        square += apart * apart
+    return square
+
+
+def _counts(p: Tensor, q: Tensor, least: float) -> tuple[Tensor, int]:
+    """How many ratios fall into every bin (bins,) float64, and how many lengths (L,) are long enough, squared."""
+    edges = [math.exp(2 * _STEP * (bin + 0.5)) for bin in range(-_BINS - 1, _BINS + 1)]
+    bins = torch.bucketize(q / p.clamp(min=least), torch.tensor(edges, dtype=p.dtype, device=p.device))
+    long = torch.minimum(p, q) > least
+    counts = torch.bincount(torch.where(long, bins, 0), minlength=len(edges) + 1)
+    return counts[1:-1].double(), int(long.sum())
