@@ -167,6 +167,19 @@ def test_the_failures_say_which_cloud_is_larger_with_figures():
     assert mirrored.figures == {"support": 3470, "matches": 4296, "rigid_support": 195}
 
 
+def test_threads_change_no_bit():
+    source, target = endpoints(correspondence_problem(3000, 0.6, place="room"))
+    threads, found = torch.get_num_threads(), []
+    try:
+        for number in (1, 3):
+            torch.set_num_threads(number)
+            found.append((found_in(source, 1.2 * target), found_in(source * FLIP, target)))
+    finally:
+        torch.set_num_threads(threads)
+    assert found[0] == found[1]
+    assert None not in found[0]
+
+
 def test_a_rigid_pair_has_no_failure():
     problem = correspondence_problem(500, 0.5)
     source, target = endpoints(problem)

@@ -95,8 +95,9 @@ def mirrored(
     pose = _best_pose(through, target, threshold)
     if pose is None:
         return None
-    clear = _explains_more(through, target, threshold, _Similarity(1.0, *pose), rigid, _MIRRORED_SURPRISE)
-    support = int(_inliers(through, target, threshold, _Similarity(1.0, *pose)).sum())
+    fit = _Similarity(1.0, *pose)
+    support = int(_inliers(through, target, threshold, fit).sum())
+    clear = _explains_more(through, target, threshold, fit, rigid, _MIRRORED_SURPRISE)
     return Mirrored(support) if clear and support >= _MIRRORED * count else None
 
 
