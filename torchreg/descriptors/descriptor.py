@@ -10,6 +10,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
+from torch import Tensor
+
 from torchreg.errors import at_least, positive
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.lengths import length, scaled
@@ -67,6 +69,10 @@ class Descriptor(ABC):
     def scaled(self: AnyDescriptor, factor: float) -> AnyDescriptor:
         """The same descriptor for points ``factor`` times as far apart: every length multiplied."""
         return scaled(self, factor)
+
+    def unsigned(self, values: Tensor) -> Tensor:
+        """What of features (P, D) does not depend on the common sign of all normals; all of it by default."""
+        return values
 
     @abstractmethod
     def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:

@@ -132,6 +132,11 @@ class Fpfh(Descriptor):
         """As ``torchreg.fpfh``."""
         return fpfh(cloud, near, mode=self.mode)
 
+    def unsigned(self, values: Tensor) -> Tensor:
+        """The histograms of f1 and f3, which the sign of the normals mirrors, folded at their middle: 33 numbers."""
+        f1, f2, f3 = values.split(ANGLE_BINS, dim=1)
+        return torch.cat([f1 + f1.flip(1), f2, f3 + f3.flip(1)], dim=1)
+
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
     """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
