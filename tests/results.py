@@ -45,6 +45,9 @@ def candidate(**changes: Any) -> Candidate:
         colors=0.43,
         strength=0.31,
         conflict=0.012,
+        misses=0.21,
+        features=0.63,
+        color_features=0.58,
         log_odds=6.3,
         probability=0.998,
     )

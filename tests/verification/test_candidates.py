@@ -6,7 +6,7 @@ from problems import random_transform
 
 from torchreg.geometry.se3 import rigid
 from torchreg.solvers.poses import pose_vectors
-from torchreg.verification.candidates import PointMoments, Poses, distinct, frames, half_turns, slides
+from torchreg.verification.candidates import PointMoments, Poses, distinct, frames, slides, turns
 from torchreg.verification.information import weakest_motions
 
 G = torch.Generator().manual_seed(0)
@@ -45,15 +45,29 @@ def test_slides_move_the_points_by_their_steps():
     assert torch.allclose(apart, torch.tensor([0.16, 0.08, 0.08, 0.16], dtype=torch.float64), rtol=0.02)
 
 
-def test_half_turns_are_half_turns_about_the_middle():
+def test_turns_are_quarter_and_half_turns_about_the_middle():
     pose = one_pose()
     placed = POINTS.double() @ pose.rotation[0].t() + pose.translation[0]
-    probes = half_turns(pose, moments_of(placed))
+    probes = turns(pose, moments_of(placed))
     assert_rigid(rigid(probes.rotation, probes.translation))
-    turns = probes.rotation @ pose.rotation[0].t()
-    assert torch.allclose(torch.diagonal(turns, dim1=1, dim2=2).sum(dim=1), -torch.ones(3, dtype=torch.float64))
+    turned = probes.rotation @ pose.rotation[0].t()
+    traces = torch.diagonal(turned, dim1=1, dim2=2).sum(dim=1).view(3, 3)  # by axis and angle
+    assert torch.allclose(traces, torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64).expand(3, 3))
+    quarter = turned.view(3, 3, 3, 3)
+    assert torch.allclose(quarter[:, 0] @ quarter[:, 0], quarter[:, 1])
+    assert torch.allclose(quarter[:, 0] @ quarter[:, 1], quarter[:, 2])
     moved = POINTS.double() @ probes.rotation.transpose(1, 2) + probes.translation[:, None]
-    assert torch.allclose(moved.mean(dim=1), placed.mean(dim=0).expand(3, 3))
+    assert torch.allclose(moved.mean(dim=1), placed.mean(dim=0).expand(9, 3))
+
+
+def test_turns_of_a_slim_body_about_its_axis_are_distinct():
+    rod = torch.randn(400, 3, generator=torch.Generator().manual_seed(5)) * torch.tensor([0.01, 0.01, 0.2])
+    c, s = 0.0, 1.0
+    quarter = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(2, dtype=torch.int64)
+    poses = Poses(torch.stack([eye, quarter]), torch.zeros(2, 3, dtype=torch.float64), zero, zero)
+    kept = distinct(poses.vectors(frames(moments_of(rod))), zero, torch.tensor([0.06], dtype=torch.float64))
+    assert kept == [0, 1]  # though the points move by 0.02
 
 
 def test_distinct_poses_keep_the_first_of_those_that_are_close():

@@ -20,10 +20,13 @@ def prepared(cloud):
     return tr.estimate_normals(cloud, tr.neighbors(cloud, 0.3, 30))
 
 
-def weigh(source, target, *poses):
+def weigh(source, target, *poses, features=((None, None), (None, None))):
     T = torch.stack(poses)
     limit = torch.tensor([THRESHOLD], dtype=torch.float64)
-    one, other = (prepared_scans([cloud], [SPACING], limit, 1500) for cloud in (source, target))
+    one, other = (
+        prepared_scans([cloud], [SPACING], limit, 1500, [rows])
+        for cloud, rows in zip((source, target), features, strict=True)
+    )
     return evidence(one, other, torch.zeros(len(T), dtype=torch.int64), T[:, :3, :3], T[:, :3, 3], limit)
 
 
@@ -47,7 +50,10 @@ def test_the_right_pose_has_everything_for_it(room):
     assert float(seen.closeness) > 0.8
     assert float(seen.normals) > 0.9
     assert float(seen.conflict) < 0.01
+    assert float(seen.misses) < 0.1
     assert bool(torch.isnan(seen.colors))
+    assert bool(torch.isnan(seen.features))
+    assert bool(torch.isnan(seen.color_features))
 
 
 def test_a_wrong_pose_has_less(room):
@@ -58,6 +64,7 @@ def test_a_wrong_pose_has_less(room):
     good, bad = (weigh(prepared(source), prepared(target), pose) for pose in (right, wrong))
     assert float(bad.overlap) < float(good.overlap) - 0.2
     assert float(bad.conflict) > float(good.conflict) + 0.05
+    assert float(bad.misses) > float(good.misses) + 0.2
 
 
 def test_both_sides_see_the_same():
@@ -129,3 +136,28 @@ def test_many_poses_are_weighed_as_each_alone(room):
         alone = weigh(one, other, poses[h])
         for joint, single in zip(together, alone, strict=True):
             assert torch.equal(joint[h : h + 1].nan_to_num(), single.nan_to_num())
+
+
+def test_features_agree_where_partners_have_the_same():
+    pair = room_pair(2500, seed=6)
+    T = pair.T_target_source if pair.T_target_source.ndim == 2 else pair.T_target_source[0]
+    source, target = prepared(pair.source), prepared(pair.target)
+    moved = (source.points.double() @ T[:3, :3].T + T[:3, 3]).float()
+    rows = [
+        torch.sin(4 * places @ torch.randn(3, 6, generator=torch.Generator().manual_seed(2)))
+        for places in (moved, target.points)
+    ]
+    strange = rows[1][torch.randperm(len(rows[1]), generator=torch.Generator().manual_seed(3))]
+    same = weigh(source, target, T, features=((rows[0], rows[0][:, :2]), (rows[1], rows[1][:, :2])))
+    other = weigh(source, target, T, features=((rows[0], None), (strange, None)))
+    assert float(same.features) > 0.8
+    assert float(same.color_features) > 0.8
+    assert abs(float(other.features)) < 0.15
+    assert bool(torch.isnan(other.color_features))
+
+
+def test_features_that_are_all_alike_say_nothing():
+    pair = room_pair(1500, seed=7)
+    T = pair.T_target_source if pair.T_target_source.ndim == 2 else pair.T_target_source[0]
+    flat = [(torch.ones(len(cloud.points), 5), None) for cloud in (pair.source, pair.target)]
+    assert float(weigh(prepared(pair.source), prepared(pair.target), T, features=flat).features) == 0.0

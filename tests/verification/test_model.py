@@ -55,7 +55,10 @@ def test_no_candidate_has_no_probability():
     assert probabilities(torch.zeros(0, dtype=torch.float64)).shape == (0,)
 
 
-BASE = {"overlap": 0.25, "closeness": 0.8, "normals": 0.9, "colors": 0.7, "strength": 0.15, "conflict": 0.01}
+BASE = {
+    **{"overlap": 0.25, "closeness": 0.8, "normals": 0.9, "colors": 0.7, "strength": 0.15, "conflict": 0.01},
+    **{"misses": 0.3, "features": 0.5, "color_features": 0.5},
+}
 
 
 def weighed(surprise=15.0, **changed):
@@ -66,7 +69,10 @@ def weighed(surprise=15.0, **changed):
 
 @pytest.mark.parametrize(
     ("name", "worse"),
-    [("overlap", 0.1), ("closeness", 0.6), ("normals", 0.5), ("colors", 0.2), ("strength", 0.05), ("conflict", 0.2)],
+    [
+        *(("overlap", 0.1), ("closeness", 0.6), ("normals", 0.5), ("colors", 0.2), ("strength", 0.05)),
+        *(("conflict", 0.2), ("misses", 0.6), ("features", 0.1), ("color_features", 0.0)),
+    ],
 )
 def test_less_evidence_lowers_the_odds(name, worse):
     assert weighed(**{name: worse}) < weighed()
@@ -79,6 +85,8 @@ def test_fewer_matches_lower_the_odds():
 def test_missing_evidence_stays_finite():
     nothing = float("nan")
     assert torch.isfinite(torch.tensor(weighed(colors=nothing, conflict=nothing, normals=nothing)))
+    assert torch.isfinite(torch.tensor(weighed(features=nothing, color_features=nothing, misses=1.0)))
+    assert torch.isfinite(torch.tensor(weighed(closeness=0.0, features=1.0, color_features=-1.0)))
     assert torch.isfinite(torch.tensor(weighed(overlap=0.0, colors=1.0, conflict=1.0, surprise=1e9)))
 
 
@@ -101,7 +109,7 @@ def test_weights_keep_every_bit_in_their_file(numbers):
 def test_the_weights_tell_where_they_come_from():
     content = json.loads(WEIGHTS.read_text())
     assert content["command"].startswith("python bench/verdict.py")
-    assert sum(content["fitted"]["cases"].values()) == 335
+    assert sum(content["fitted"]["cases"].values()) == 453
     for key in ("how", "effort", "commit"):
         assert content["fitted"][key]
     assert content["validated"]["machine"]["commit"]

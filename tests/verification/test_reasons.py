@@ -1,13 +1,18 @@
 """A failure names its kind, a sentence with the figures, and the figures themselves."""
 
+import math
+
 import pytest
 import torch
 
 from torchreg.verification.candidates import Candidates, Poses
 from torchreg.verification.model import Evidence, probabilities
-from torchreg.verification.reasons import accepted, failure_of
+from torchreg.verification.reasons import MARGIN, accepted, failure_of
 
-GOOD = {"overlap": 0.4, "closeness": 0.8, "normals": 0.9, "colors": 0.8, "strength": 0.2, "conflict": 0.01}
+GOOD = {
+    **{"overlap": 0.4, "closeness": 0.8, "normals": 0.9, "colors": 0.8, "strength": 0.2, "conflict": 0.01},
+    **{"misses": 0.2, "features": 0.6, "color_features": 0.6},
+}
 POINTS = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
 
 
@@ -84,4 +89,16 @@ def test_surfaces_that_lie_on_each_other_and_leave_a_motion_open_slide():
     [(0.9, [3.0], True), (0.9, [3.0, 0.5], True), (0.9, [3.0, 2.5], False), (0.5, [0.1], False)],
 )
 def test_a_success_is_probable_and_ahead_of_its_runner_up(probability, odds, expected):
-    assert accepted(probability, torch.tensor(odds, dtype=torch.float64)) is expected
+    assert accepted(probability, torch.tensor(odds, dtype=torch.float64), MARGIN) is expected
+
+
+def test_without_colors_a_success_is_farther_ahead():
+    assert refused([3.0, 1.5]) is None
+    assert refused([3.0, 1.5], colors=float("nan")) is not None
+    assert refused([3.0, 0.5], colors=float("nan")) is None
+
+
+def test_a_probability_just_too_low_does_not_read_as_enough():
+    failure = refused([math.log(0.598 / 0.402)])
+    assert failure is not None
+    assert "probability 0.59 of being right, 0.6 is needed" in failure.text

@@ -11,8 +11,8 @@ class Candidate(NamedTuple):
     """One pose that was weighed on the clouds. A figure without data to compute it from is NaN.
 
     Attributes:
-        origin: features and solver that proposed it, such as "fpfh + contrast, compatibility", or "slide" or "half
-            turn" for a probe of the verdict.
+        origin: features and solver that proposed it, such as "fpfh + contrast, compatibility", or "slide" or "turn"
+            for a probe of the verdict.
         T_target_source: (4, 4) float64, meters, origins included.
         support: matches that it brings within the inlier threshold, of the proposal whose agreement with it is the
             least likely by chance.
@@ -24,6 +24,9 @@ class Candidate(NamedTuple):
         colors: correlation of the colors of partners.
         strength: in [0, 1], how evenly the surfaces of partners constrain the pose; near 0 it slides.
         conflict: of the points at or before a surface that the other scanner saw, the share before it.
+        misses: of the points near the other scan, the share without a partner.
+        features: agreement of the descriptors of geometry of partners, 1 where they are the same, about 0 by chance.
+        color_features: agreement of the descriptors of color of partners, likewise.
         log_odds: of being right against no candidate being right (natural logarithm).
         probability: of being right, among all candidates of the pair.
     """
@@ -39,6 +42,9 @@ class Candidate(NamedTuple):
     colors: float
     strength: float
     conflict: float
+    misses: float
+    features: float
+    color_features: float
     log_odds: float
     probability: float
 

@@ -29,6 +29,7 @@ class MatchEndpoints(NamedTuple):
 
     source: Tensor
     target: Tensor
+    coarser: float = 1.0  # how many times as far apart the points were that were matched
 
 
 class MatchCells(NamedTuple):
@@ -38,7 +39,7 @@ class MatchCells(NamedTuple):
     targets: Tensor  # (17, 3, M) the target points that are matched to them, then those of 16 other pairings
     last: Tensor  # (C,) int64, the last match of every cell
     size: Tensor  # (C,) int64, matches in every cell
-    threshold: float  # meters, of an inlier
+    threshold: float  # meters, within which a match agrees
 
 
 class Agreement(NamedTuple):
@@ -50,7 +51,8 @@ class Agreement(NamedTuple):
 
 
 def match_cells(matches: MatchEndpoints, threshold: float) -> MatchCells:
-    """Put the matches of one proposal in cells and pair them anew."""
+    """Put the matches of one proposal in cells and pair them anew; ``threshold``, meters, is the pair's."""
+    threshold = threshold * matches.coarser
     count, device = len(matches.source), matches.source.device
     if count == 0:
         none = torch.zeros(0, dtype=torch.int64, device=device)

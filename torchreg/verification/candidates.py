@@ -1,8 +1,8 @@
 """Candidate poses of a group of pairs: those that solvers proposed, which of them are distinct, and probes.
 
 Probes are poses that an ambiguous scene supports as well: displaced along the motion that the surfaces resist least, or
-turned by half. A plane, a corridor and a hall that equals its mirror image admit such poses, which the solvers need not
-have proposed.
+turned about a principal axis. A plane, a corridor, a hall that equals itself after a half turn and a body of revolution
+admit such poses, which the solvers need not have proposed.
 """
 
 from __future__ import annotations
@@ -19,12 +19,18 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.verification.information import WeakestMotion
 from torchreg.verification.model import Evidence
 
-SLIDE, HALF_TURN = -1, -2
+SLIDE, TURN = -1, -2
 """Origins of probes."""
 
 _STEPS = (-16.0, -8.0, 8.0, 16.0)
 """Displacements along the weakest motion, in inlier thresholds: farther than poses that count as the same."""
 
+
+_QUARTERS = (1, 2, 3)
+"""Turns about an axis that are probed, in right angles."""
+
+_THICK = 0.5
+"""A body counts as thick as this share of its length at least, so that turns of a slim one tell poses apart."""
 
 Record = TypeVar("Record", bound=Any)
 
@@ -153,9 +159,13 @@ def point_moments(points: Tensor, valid: Tensor, counts: Tensor) -> PointMoments
 
 
 def frames(moments: PointMoments) -> Tensor:
-    """(G, 4, 3): the columns of a root of each covariance, then the mean, as ``Poses.vectors`` takes them."""
+    """(G, 4, 3): the columns of a root of each covariance, then the mean, as ``Poses.vectors`` takes them.
+
+    A slim body, whose points a turn about its axis hardly moves, counts as thicker than it is.
+    """
     values, vectors = torch.linalg.eigh(moments.products / moments.counts[:, None, None])
-    root = vectors * values.clamp(min=0).sqrt()[:, None]
+    deviations = values.clamp(min=0).sqrt()  # (G, 3), ascending
+    root = vectors * torch.maximum(deviations, _THICK * deviations[:, 2:])[:, None]
     return torch.cat([root.transpose(1, 2), moments.mean[:, None]], dim=1)
 
 
@@ -167,13 +177,19 @@ def slides(pose: Poses, weakest: WeakestMotion, threshold: Tensor) -> Poses:
     return _probes(pose, SLIDE, turn, weakest.center, weakest.shift[:, None] * length)
 
 
-def half_turns(pose: Poses, target: PointMoments) -> Poses:
-    """One pose of each of G pairs after half turns about the three principal axes of the target's points."""
+def turns(pose: Poses, target: PointMoments) -> Poses:
+    """One pose of each of G pairs after quarter and half turns about the principal axes of the target: 9 each."""
     _, axes = torch.linalg.eigh(target.products)  # columns
-    axis = axes.transpose(1, 2)  # (G, 3, 3): axis by axis
+    axis = axes.transpose(1, 2)[:, :, None]  # (G, 3, 1, 3): axis by axis
     eye = torch.eye(3, dtype=axis.dtype, device=axis.device)
-    turn = 2 * axis[..., :, None] * axis[..., None, :] - eye  # (G, 3, 3, 3)
-    return _probes(pose, HALF_TURN, turn, target.mean, torch.zeros_like(axis))
+    zero = torch.zeros_like(axis[..., 0])
+    x, y, z = axis.unbind(-1)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+    square = axis[..., :, None] * axis[..., None, :] - eye  # of cross
+    sine, cosine = ((0.0, 1.0, 0.0, -1.0), (1.0, 0.0, -1.0, 0.0))
+    turned = [eye + sine[quarter] * cross + (1 - cosine[quarter]) * square for quarter in _QUARTERS]
+    turn = torch.cat(turned, dim=2).flatten(1, 2)  # (G, 9, 3, 3)
+    return _probes(pose, TURN, turn, target.mean, torch.zeros_like(turn[..., 0]))
 
 
 def _probes(pose: Poses, kind: int, turn: Tensor, center: Tensor, shift: Tensor) -> Poses:

@@ -13,17 +13,16 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.gather import gather_columns
-from torchreg.geometry.numerics.sums import padded_length, padded_row_sums
+from torchreg.geometry.numerics.gather import gather, gather_columns
+from torchreg.geometry.numerics.sums import padded_row_sums
 from torchreg.verification.candidates import joined
 from torchreg.verification.free_space import RangeImages, visibility
 from torchreg.verification.information import strengths
 from torchreg.verification.model import Evidence
-from torchreg.verification.partners import partners
-from torchreg.verification.scans import Scans, rotated
+from torchreg.verification.partners import can_be_near, partners
+from torchreg.verification.scans import Scans, rotated, thinned
 
 _LEAST_VARIANCE = 1e-5  # of a channel in [0, 1]: below it, the channel is one gray value and its rounding
-_STRIDE = 3  # of the points that the strength is computed from
 _ELEMENTS = 1 << 15  # points moved at once: what is made of them stays in the cache
 
 
@@ -88,15 +87,45 @@ def _of_poses(source: Scans, target: Scans, pair: Tensor, R: Tensor, t: Tensor, 
         facing = gather_columns(target.all_normals, nearest.row)
         x, y, z = rotated(R, source.normals[:, pair]).mul_(facing).unbind(0)
         cosine = x.add_(y).add_(z)
-        known = (source.faced & target.faced)[pair, None]
+        known = source.faced[pair] & gather(target.all_faced, nearest.row)
         cosine = torch.where(known, cosine, cosine.abs())  # which side a surface faces may not be known
         normals = torch.where(count > 0, _over(cosine, close) / some, nothing)
-        strength = strengths(*(_thinned(values) for values in (moved, facing, close)))
+        strength = strengths(*(thinned(values) for values in (moved, facing, close)))
     if source.colors is not None and target.all_colors is not None:
         colors = _correlation(source.colors[:, pair], gather_columns(target.all_colors, nearest.row), close)
     if target.images is not None:
         conflict = _conflict(target.images, target.image[pair], moved, valid, limit)
-    return Evidence(count / source.counts[pair].clamp(min=1), closeness, normals, colors, strength, conflict)
+    around = (can_be_near(target.search.around, pair, moved) & valid).sum(dim=1).double()
+    misses = (around - count) / around.clamp(min=1)
+    few, close_few = thinned(nearest.row), thinned(close)
+    features = [
+        nothing if one is None or other is None else _concordance(one[:, pair], gather_columns(other, few), close_few)
+        for one, other in zip(source.features, target.all_features, strict=True)
+    ]
+    return Evidence(
+        count / source.counts[pair].clamp(min=1), closeness, normals, colors, strength, conflict, misses, *features
+    )
+
+
+def _concordance(one: Tensor, other: Tensor, close: Tensor) -> Tensor:
+    """Agreement (r,) of the features (D, r, L') of partners, as the concordance correlation of numbers (Lin, 1989).
+
+    1 less the mean squared difference of partners over that of each with the partners of all others: 1 where partners
+    have the same features, about 0 where any two points of the overlap are as much alike. 0 for fewer than 6 partners.
+    """
+    weight = close.double()
+    total = close.sum(dim=1).double()
+    count = total.clamp(min=1)
+
+    def mean(values: Tensor) -> Tensor:
+        return padded_row_sums(values.double() * weight) / count
+
+    difference = one - other
+    apart = mean((difference * difference).double().cumsum(dim=0)[-1])
+    square = mean((one * one + other * other).double().cumsum(dim=0)[-1])
+    middle = (mean(one) * mean(other)).cumsum(dim=0)[-1]
+    strangers = square - 2 * middle  # of each with the partners of all others, squared
+    return torch.where((total >= 6) & (strangers > 1e-12), 1 - apart / strangers.clamp(min=1e-12), 0.0)
 
 
 def _conflict(images: RangeImages, which: Tensor, moved: Tensor, valid: Tensor, limit: Tensor) -> Tensor:
@@ -125,12 +154,6 @@ def _correlation(one: Tensor, other: Tensor, close: Tensor) -> Tensor:
     scale = torch.where(varies, left * right, torch.ones_like(left)).sqrt()
     correlation = torch.where(varies, products / scale, torch.full_like(scale, float("nan")))
     return correlation.t().contiguous().nanmean(dim=1)
-
-
-def _thinned(values: Tensor) -> Tensor:
-    """Every third number of rows (..., L), filled up with zeros."""
-    thin = values[..., ::_STRIDE]
-    return torch.nn.functional.pad(thin, (0, padded_length(thin.shape[-1]) - thin.shape[-1]))
 
 
 def _over(values: Tensor, mask: Tensor) -> Tensor:

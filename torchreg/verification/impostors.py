@@ -6,13 +6,17 @@ from torchreg.types import Failure
 from torchreg.verification.agreement import MatchEndpoints
 from torchreg.verification.similarity import Mirrored, RigidFit, Scaled, impossible_as_rigid
 
+IMPOSTORS = ("mirrored", "scaled")
+"""Kinds of failure of pairs that no rigid pose can be right for."""
+
 
 def impostor(matches: MatchEndpoints, threshold: float, rigid: RigidFit) -> Failure | None:
     """Why no rigid pose of one pair can be right, by its matches; ``None`` where one may be.
 
     ``threshold`` is that of an inlier, meters; ``rigid`` is what supports the best pose among these matches.
     """
-    finding = impossible_as_rigid(*matches, threshold, rigid)
+    within = threshold * matches.coarser
+    finding = impossible_as_rigid(matches.source, matches.target, within, rigid)
     if finding is None:
         return None
     count, explained = len(matches.source), int(rigid.inliers.sum())

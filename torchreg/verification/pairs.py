@@ -12,7 +12,7 @@ from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.solvers import PairPoses
 from torchreg.types import Clouds, Correspondences, Proposal
-from torchreg.types.packing import spans
+from torchreg.types.packing import offsets_of, spans
 from torchreg.verification.agreement import MatchCells, MatchEndpoints, match_cells
 from torchreg.verification.candidates import Poses, joined
 from torchreg.verification.reasons import ACCEPTED
@@ -33,11 +33,18 @@ class WorkPerPair(NamedTuple):
 
 
 WORK = {
-    "fast": WorkPerPair(poses=6, sample=600, refined=1, iterations=5, accepted=0.75),
+    "fast": WorkPerPair(poses=6, sample=600, refined=1, iterations=5, accepted=0.85),
     "balanced": WorkPerPair(poses=10, sample=1000, refined=3, iterations=10),
     "thorough": WorkPerPair(poses=16, sample=1500, refined=8, iterations=20),
 }
 """Work by effort. Points that lie farther apart are weaker evidence, so "fast" needs a higher probability."""
+
+
+WORK_AGAIN = {
+    "balanced": WorkPerPair(poses=8, sample=1000, refined=12, iterations=12),
+    "thorough": WorkPerPair(poses=16, sample=1500, refined=20, iterations=20),
+}
+"""Work by effort at a second look, which has many more poses to choose from."""
 
 
 class PairLengths(NamedTuple):
@@ -47,12 +54,32 @@ class PairLengths(NamedTuple):
     spacing: float
 
 
+class ComparedFeatures(NamedTuple):
+    """Rows of unit length that describe the points of one pair: of geometry (P, D) and of color, ``None`` without."""
+
+    source: tuple[Tensor | None, Tensor | None] = (None, None)
+    target: tuple[Tensor | None, Tensor | None] = (None, None)
+
+
 class ProposedPoses(NamedTuple):
     """The poses that one set of features and one solver proposed for all pairs."""
 
     origin: str  # features and solver in words
     matches: Correspondences  # of B pairs
     poses: Sequence[PairPoses]  # one per pair
+    coarser: float = 1.0  # how many times as far apart the points were that were matched, as ``MatchEndpoints``
+
+    def of_pair(self, b: int, source: Clouds, target: Clouds) -> ProposedPoses:
+        """Those of pair ``b`` of the batches of clouds alone, its matches as rows of its own two clouds."""
+        matches = self.matches
+        begin, end = spans(matches.offsets)[b]
+        own = Correspondences(
+            source=matches.source[begin:end] - int(source.offsets[b]),
+            target=matches.target[begin:end] - int(target.offsets[b]),
+            offsets=offsets_of([end - begin]),
+            score=matches.score[begin:end],
+        )
+        return self._replace(matches=own, poses=[self.poses[b]])
 
 
 class CenteredPair(NamedTuple):
@@ -63,6 +90,7 @@ class CenteredPair(NamedTuple):
     matches: Sequence[MatchEndpoints]  # of every proposal, between those frames
     poses: Poses  # of all proposals, between those frames
     lengths: PairLengths
+    features: ComparedFeatures
 
 
 class PreparedPairs(NamedTuple):
@@ -115,10 +143,11 @@ def work_of_pairs(source: Clouds, target: Clouds, proposed: Sequence[ProposedPos
     return amounts
 
 
-def match_endpoints(source: Clouds, target: Clouds, matches: Correspondences) -> list[MatchEndpoints]:
+def match_endpoints(source: Clouds, target: Clouds, proposed: ProposedPoses) -> list[MatchEndpoints]:
     """The matched points of every pair of a batch."""
+    matches = proposed.matches
     p, q = source.points[matches.source].double(), target.points[matches.target].double()
-    return [MatchEndpoints(p[begin:end], q[begin:end]) for begin, end in spans(matches.offsets)]
+    return [MatchEndpoints(p[begin:end], q[begin:end], proposed.coarser) for begin, end in spans(matches.offsets)]
 
 
 def centered_pair(
@@ -127,6 +156,7 @@ def centered_pair(
     matches: Sequence[MatchEndpoints],
     poses: Sequence[PairPoses],
     lengths: PairLengths,
+    features: ComparedFeatures,
     most: int,
 ) -> CenteredPair:
     """One pair, clouds of a batch of one each, with the matches and at most so many poses of every proposal."""
@@ -138,17 +168,21 @@ def centered_pair(
         origin = torch.full_like(part.support, number)
         centered = Poses(part.rotation, part.translation + moved - target_center, origin, torch.zeros_like(origin))
         parts.append(centered.take(slice(most)))
-    endpoints = [MatchEndpoints(part.source - source_center, part.target - target_center) for part in matches]
-    return CenteredPair(one, other, endpoints, joined(parts), lengths)
+    endpoints = [
+        part._replace(source=part.source - source_center, target=part.target - target_center) for part in matches
+    ]
+    return CenteredPair(one, other, endpoints, joined(parts), lengths, features)
 
 
 def prepared_pairs(pairs: Sequence[CenteredPair], sample: int) -> PreparedPairs:
     """Prepare G pairs, ``sample`` points of each scan."""
     spacings, thresholds = [pair.lengths.spacing for pair in pairs], [pair.lengths.threshold for pair in pairs]
     threshold = torch.tensor(thresholds, dtype=torch.float64, device=pairs[0].source.device)
+    sources, targets = [pair.source for pair in pairs], [pair.target for pair in pairs]
+    of_sources, of_targets = [pair.features.source for pair in pairs], [pair.features.target for pair in pairs]
     return PreparedPairs(
-        source=prepared_scans([pair.source for pair in pairs], spacings, threshold, sample),
-        target=prepared_scans([pair.target for pair in pairs], spacings, threshold, sample),
+        source=prepared_scans(sources, spacings, threshold, sample, of_sources),
+        target=prepared_scans(targets, spacings, threshold, sample, of_targets),
         matches=[[match_cells(part, pair.lengths.threshold) for part in pair.matches] for pair in pairs],
         threshold=threshold,
     )

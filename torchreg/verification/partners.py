@@ -36,6 +36,7 @@ class PartnerSearch(NamedTuple):
     """The cells and trees of G scans in which ``partners`` searches."""
 
     occupancy: Occupancy  # where partners can be
+    around: Occupancy  # cells around the points, several thresholds wide
     trees: Sequence[PointIndex]  # over the points of every scan
     first: Sequence[int]  # the row of every scan's first point among the points of all
 

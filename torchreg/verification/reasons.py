@@ -11,13 +11,14 @@ from torchreg.geometry.se3 import inverse
 from torchreg.solvers.poses import pose_vectors
 from torchreg.types import Failure
 from torchreg.verification.candidates import Candidates
-from torchreg.verification.model import TERMS, term_values
+from torchreg.verification.model import TERMS, Evidence, term_values
 
 ACCEPTED = 0.6
 """The least probability of a success, where points lie as dense as in the cases that the weights were fitted to."""
 
-MARGIN = 1.0
-"""The least log-odds of a success over its runner-up: about e to one."""
+MARGIN, MARGIN_BY_SHAPE = 1.0, 2.0
+"""The least log-odds of a success over its runner-up: about e to one; without colors, by which rivals of the same shape
+differ, 7 to one."""
 
 FIRM_STRENGTH = 0.1
 """Strength below which sliding is the reason of a refused pose; right poses of real pairs have 0.1 and more."""
@@ -30,6 +31,8 @@ _LACKING = {
     "closeness": ("surfaces disagree", "surfaces disagree: partners are {thresholds_apart:.2f} thresholds apart"),
     "normals": ("surfaces disagree", "surfaces disagree: normals of partners have a mean cosine of {normals:.2f}"),
     "colors": ("colors disagree", "colors disagree: those of partners correlate by {colors:.2f}"),
+    "misses": ("surfaces disagree", "surfaces disagree: {misses:.0%} of the points near the other scan miss it"),
+    "features": ("surfaces disagree", "surfaces disagree: the descriptors of partners agree by {features:.2f} only"),
     "strength": ("sliding", "sliding: the surfaces of partners leave a motion open (strength {strength:.3f})"),
     "conflict": (
         "free-space conflict",
@@ -40,9 +43,17 @@ _LACKING = {
 """By the term of the log-odds that a pose lacks most: the failure's kind and its sentence, over the figures."""
 
 
-def accepted(probability: float, odds: Tensor, least: float = ACCEPTED) -> bool:
-    """Whether a best candidate of this probability is a success; ``odds`` (H,) of all candidates, best first."""
-    return probability >= least and (len(odds) < 2 or float(odds[0] - odds[1]) >= MARGIN)
+def accepted(probability: float, odds: Tensor, margin: float, least: float = ACCEPTED) -> bool:
+    """Whether a best candidate of this probability is a success.
+
+    ``odds`` (H,) are those of all candidates, best first, ``margin`` is the least between the first two.
+    """
+    return probability >= least and (len(odds) < 2 or float(odds[0] - odds[1]) >= margin)
+
+
+def least_margin(evidence: Evidence) -> float:
+    """The least log-odds of a success over its runner-up, by what the evidence of the candidates of a pair holds."""
+    return MARGIN_BY_SHAPE if bool(torch.isnan(evidence.colors).all()) else MARGIN
 
 
 def failure_of(
@@ -54,10 +65,14 @@ def failure_of(
     runner-up follows, ``least`` is the probability of a success.
     """
     probability, odds = probabilities[0], candidates.odds
-    if accepted(probability, odds, least):
+    enough = least_margin(candidates.evidence)
+    if accepted(probability, odds, enough, least):
         return None
     figures = {"probability": probability, "least": least}
-    needed = f"probability {probability:.2f} of being right, {least:g} is needed"
+    stated = round(probability, 2)
+    if stated >= least > probability:  # rounded up it would read as enough
+        stated = math.floor(100 * probability) / 100
+    needed = f"probability {stated:.2f} of being right, {least:g} is needed"
     rival = ""
     if len(probabilities) > 1:
         meters, degrees = _displacement(candidates, points)
@@ -65,7 +80,7 @@ def failure_of(
         margin = float(odds[0] - odds[1])
         figures |= {"margin": margin, "rival_meters": meters, "rival_degrees": degrees}
         if probability >= least:
-            needed = f"log-odds {margin:.2f} above it, {MARGIN:g} are needed"
+            needed = f"log-odds {margin:.2f} above it, {enough:g} are needed"
     if strength < FIRM_STRENGTH and float(candidates.evidence.overlap[0]) >= _SLIDING_OVERLAP:
         others = f"; {rival}, they agree nearly as well" if rival else ""
         text = f"sliding: the surfaces leave a motion open (strength {strength:.3f}){others} ({needed})"
@@ -84,7 +99,7 @@ def _most_lacking(candidates: Candidates) -> str:
     best = candidates.take(slice(1))
     values = dict(zip(TERMS, term_values(best.evidence, best.surprise)[0].tolist(), strict=True))
     lack = {name: TERMS[name].weight * (TERMS[name].typical - values[name]) for name in _LACKING}
-    for name in ("colors", "conflict"):
+    for name in ("colors", "conflict", "features"):
         if bool(torch.isnan(getattr(best.evidence, name)[0])):
             lack[name] = 0.0
     return max(lack, key=lambda name: lack[name])

@@ -15,12 +15,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.gather import gather_columns
 from torchreg.geometry.numerics.sums import padded_length
 from torchreg.neighborhoods.point_index import PointIndex
 from torchreg.types import Clouds
 from torchreg.types.packing import offsets_of
 from torchreg.verification.free_space import RangeImages, range_image, side_by_side
 from torchreg.verification.partners import PartnerSearch, occupancy
+
+_STRIDE = 3  # of the points that strength and features are compared on
+_GRAZING = 0.15  # sine of the angle between ray and surface below which the side of the surface is not sure
+_AROUND = 3.0  # thresholds within which a point stands near the other scan
 
 
 class Scans(NamedTuple):
@@ -36,17 +41,27 @@ class Scans(NamedTuple):
     all_colors: Tensor | None  # (3, P) float64, or ``None``
     sizes: Sequence[int]  # of every scan, how many points it has
     origin: Tensor  # (G, 3) float64, meters, where the points' zero lies in the frame of the file
-    faced: Tensor  # (G,) bool, whether normals point to a known scanner
+    faced: Tensor  # (G, L) bool, of the samples, where the side of a surface is known (``_faced``)
+    all_faced: Tensor  # (P,) bool, likewise of all points
     search: PartnerSearch  # for the nearest of all points
+    # of geometry and of color: (D, G, L') of every third point of the samples, and (D, P); ``None`` without
+    features: tuple[Tensor | None, ...]
+    all_features: tuple[Tensor | None, ...]
     images: RangeImages | None  # of the scanners whose position is known, ``None`` where no position is
     image: Tensor  # (G,) int64, which of the images is the scan's; -1 where it has none
 
 
-def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshold: Tensor, sample: int) -> Scans:
+def prepared_scans(
+    clouds: Sequence[Clouds],
+    spacings: Sequence[float],
+    threshold: Tensor,
+    sample: int,
+    features: Sequence[tuple[Tensor | None, Tensor | None]],
+) -> Scans:
     """Prepare one side of G pairs, with ``sample`` points of each scan to weigh poses on.
 
     The clouds all have normals (colors), or none has; ``spacings``, of their points, and ``threshold`` (G,) are in
-    meters.
+    meters; ``features`` are as in ``ComparedFeatures``.
     """
     device = clouds[0].device
     sizes = [len(cloud.points) for cloud in clouds]
@@ -67,12 +82,16 @@ def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshol
     normals, colors = planes([cloud.normals for cloud in clouds]), planes([cloud.colors for cloud in clouds])
     colors = None if colors is None else colors.double()
     trees = [PointIndex(cloud.points) for cloud in clouds]
-    faced = torch.cat([cloud.viewpoint_known for cloud in clouds])
     images = [
-        range_image(cloud.points, cloud.viewpoint[0], spacing) if cloud.viewpoint is not None and is_known else None
-        for cloud, spacing, is_known in zip(clouds, spacings, faced.tolist(), strict=True)
+        range_image(cloud.points, cloud.viewpoint[0], spacing)
+        if cloud.viewpoint is not None and bool(cloud.viewpoint_known[0])
+        else None
+        for cloud, spacing in zip(clouds, spacings, strict=True)
     ]
+    faced = torch.cat([_faced(cloud) for cloud in clouds])
     known = [image for image in images if image is not None]
+    all_features = tuple(map(planes, zip(*features, strict=True)))
+    thin = thinned(rows)
     seen = torch.tensor([image is not None for image in images])
     return Scans(
         points=points[:, rows].masked_fill_(~valid, 0.0),
@@ -85,11 +104,38 @@ def prepared_scans(clouds: Sequence[Clouds], spacings: Sequence[float], threshol
         all_colors=colors,
         sizes=sizes,
         origin=torch.cat([cloud.origin for cloud in clouds]),
-        faced=faced,
-        search=PartnerSearch(occupancy(points, sizes, threshold), trees, offsets_of(sizes)[:-1].tolist()),
+        faced=faced[rows] & valid,
+        all_faced=faced,
+        search=PartnerSearch(
+            occupancy(points, sizes, threshold),
+            occupancy(points, sizes, _AROUND * threshold),
+            trees,
+            offsets_of(sizes)[:-1].tolist(),
+        ),
+        features=tuple(None if part is None else gather_columns(part, thin) for part in all_features),
+        all_features=all_features,
         images=side_by_side(known) if known else None,
         image=torch.where(seen, seen.cumsum(0) - 1, -1).to(device),
     )
+
+
+def _faced(cloud: Clouds) -> Tensor:
+    """(P,) bool: points of one cloud whose normal surely points to the scanner.
+
+    The scanner is known, and its ray does not graze the surface: there a small error of the normal changes its side.
+    """
+    if cloud.normals is None or cloud.viewpoint is None or not bool(cloud.viewpoint_known[0]):
+        return torch.zeros(len(cloud.points), dtype=torch.bool, device=cloud.device)
+    ray = (cloud.viewpoint - cloud.points).t()
+    x, y, z = (ray * cloud.normals.t()).unbind(0)
+    along, (dx, dy, dz) = x + y + z, (ray * ray).unbind(0)
+    return along * along > _GRAZING * _GRAZING * (dx + dy + dz)
+
+
+def thinned(values: Tensor) -> Tensor:
+    """Every third of (..., L), filled up with zeros to a length that sums want."""
+    thin = values[..., ::_STRIDE]
+    return torch.nn.functional.pad(thin, (0, padded_length(thin.shape[-1]) - thin.shape[-1]))
 
 
 def even_rows(sizes: Sequence[int], most: int, device: torch.device) -> list[Tensor]:

@@ -13,15 +13,15 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.neighborhoods.coverage import coverage
 from torchreg.solvers import PairPoses, hypothesis_counts
 from torchreg.types import Candidate, Clouds, Correspondences, Failure, RegistrationResult
-from torchreg.types.packing import offsets_of, spans
-from torchreg.verification.candidates import HALF_TURN, SLIDE, Candidates, Choice, Poses, runs_of
+from torchreg.types.packing import offsets_of
+from torchreg.verification.candidates import SLIDE, TURN, Candidates, Choice, Poses, runs_of
 from torchreg.verification.impostors import impostor
 from torchreg.verification.model import probabilities
 from torchreg.verification.pairs import CenteredPair, ProposedPoses
 from torchreg.verification.reasons import failure_of
 from torchreg.verification.similarity import RigidFit
 
-_PROBES = {SLIDE: "slide", HALF_TURN: "half turn"}
+_PROBES = {SLIDE: "slide", TURN: "turn"}
 
 
 class Verdict(NamedTuple):
@@ -40,6 +40,14 @@ class Verdict(NamedTuple):
     runner_up: Tensor
     margin: float
     candidates: tuple[Candidate, ...]
+
+
+class JudgedPair(NamedTuple):
+    """The verdict on one pair, and the proposal whose matches support the pose most."""
+
+    verdict: Verdict
+    matches: Correspondences  # of that proposal, as rows of the pair's own two clouds
+    poses: PairPoses  # of that proposal
 
 
 def verdicts(pairs: Sequence[CenteredPair], choice: Choice, names: Sequence[str], least: float) -> list[Verdict]:
@@ -86,48 +94,51 @@ def no_pose(poses: PairPoses) -> Verdict:
     )
 
 
-def collect(
-    source: Clouds, target: Clouds, proposed: Sequence[ProposedPoses], verdicts: Sequence[Verdict]
-) -> RegistrationResult:
-    """The result of B pairs from their verdicts, each with the matches of the proposal that supports it most."""
-    device = source.device
+def judged_pair(verdict: Verdict, proposed: ProposedPoses, source: Clouds, target: Clouds, b: int) -> JudgedPair:
+    """The verdict on pair ``b`` of a batch with what it stands on."""
+    own = proposed.of_pair(b, source, target)
+    return JudgedPair(verdict, own.matches, own.poses[0])
+
+
+def collect(source: Clouds, target: Clouds, judged: Sequence[JudgedPair]) -> RegistrationResult:
+    """The result of B pairs, at least one, from the verdicts on them.
+
+    ``correspondences`` and ``hypotheses`` are those of the proposal whose matches support the pose most.
+    """
+    source, target, device = source.detach(), target.detach(), source.device
+    verdicts = [pair.verdict for pair in judged]
 
     def numbers(name: str) -> Tensor:
         return torch.tensor([getattr(verdict, name) for verdict in verdicts], dtype=torch.float64, device=device)
 
-    def stacked(name: str, *size: int) -> Tensor:
-        empty = torch.zeros(0, *size, dtype=torch.float64, device=device)
-        return torch.cat([empty, *(getattr(verdict, name)[None] for verdict in verdicts)])
+    def stacked(name: str) -> Tensor:
+        return torch.stack([getattr(verdict, name) for verdict in verdicts])
 
-    chosen = [proposed[verdict.proposal] for verdict in verdicts]
-    rows = [slice(*spans(part.matches.offsets)[b]) for b, part in enumerate(chosen)]
-    first = proposed[0].matches
-
-    def matched(name: str) -> Tensor:
-        parts = [getattr(part.matches, name)[of_pair] for part, of_pair in zip(chosen, rows, strict=True)]
-        return torch.cat([getattr(first, name)[:0], *parts])
+    def matched(name: str, firsts: Tensor) -> Tensor:
+        parts = zip((getattr(pair.matches, name) for pair in judged), firsts.tolist(), strict=False)
+        return torch.cat([rows + first for rows, first in parts])
 
     return RegistrationResult(
-        T_target_source=stacked("T", 4, 4),
-        inliers=torch.cat([first.source[:0].bool(), *(verdict.inliers for verdict in verdicts)]),
+        T_target_source=stacked("T"),
+        inliers=torch.cat([verdict.inliers for verdict in verdicts]),
         fitness=numbers("fitness"),
         inlier_rmse=numbers("inlier_rmse"),
         success=torch.tensor([verdict.failure is None for verdict in verdicts], dtype=torch.bool, device=device),
         failure=tuple(verdict.failure for verdict in verdicts),
-        hypotheses=hypothesis_counts([part.poses[b] for b, part in enumerate(chosen)], device),
+        hypotheses=hypothesis_counts([pair.poses for pair in judged], device),
         source=source,
         target=target,
         correspondences=Correspondences(
-            source=matched("source"),
-            target=matched("target"),
-            offsets=offsets_of(part.stop - part.start for part in rows),
-            score=matched("score"),
+            source=matched("source", source.offsets),
+            target=matched("target", target.offsets),
+            offsets=offsets_of(len(pair.matches.source) for pair in judged),
+            score=torch.cat([pair.matches.score for pair in judged]),
         ),
         probability=numbers("probability"),
         overlap=numbers("overlap"),
-        information=stacked("information", 6, 6),
+        information=stacked("information"),
         strength=numbers("strength"),
-        runner_up=stacked("runner_up", 4, 4),
+        runner_up=stacked("runner_up"),
         margin=numbers("margin"),
         candidates=tuple(verdict.candidates for verdict in verdicts),
     )
@@ -145,10 +156,11 @@ def _verdict(
     R, t = weighed.poses.rotation[0], weighed.poses.translation[0]
     near = coverage(pair.source.points, pair.target.points, R, t, pair.lengths.threshold)
     proposal = int(weighed.proposal[0])
-    matches = pair.matches[proposal]
-    residual = apply_rotation(R, matches.source) + t - matches.target
-    inliers = residual.square().sum(dim=1) < pair.lengths.threshold**2
-    impossible = impostor(matches, pair.lengths.threshold, RigidFit(inliers, float(weighed.surprise[0])))
+    inliers = _inliers(pair, proposal, R, t)
+    impossible = None
+    for number in dict.fromkeys((0, proposal)):  # the first has all matches of a set of features
+        rigid_fit = RigidFit(_inliers(pair, number, R, t), float(weighed.surprise[0]))
+        impossible = impossible or impostor(pair.matches[number], pair.lengths.threshold, rigid_fit)
     if impossible is not None:  # then no rigid pose is right
         described = tuple(each._replace(probability=0.0) for each in described)
     best, several = described[0], len(described) > 1
@@ -168,6 +180,13 @@ def _verdict(
         margin=best.log_odds - described[1].log_odds if several else math.inf,
         candidates=described,
     )
+
+
+def _inliers(pair: CenteredPair, number: int, R: Tensor, t: Tensor) -> Tensor:
+    """(M,) bool: which matches of one proposal a pose brings within the inlier threshold."""
+    matches = pair.matches[number]
+    residual = apply_rotation(R, matches.source) + t - matches.target
+    return residual.square().sum(dim=1) < pair.lengths.threshold**2
 
 
 def _with_origins(poses: Poses, pairs: Sequence[CenteredPair]) -> Tensor:

@@ -16,7 +16,7 @@ from torchreg.geometry.numerics.threads import shared_out
 from torchreg.refinement.icp import refine_pairs
 from torchreg.refinement.options import IcpOptions
 from torchreg.refinement.pairing import Pairing
-from torchreg.types import Clouds, RegistrationResult
+from torchreg.types import Clouds
 from torchreg.types.packing import offsets_of
 from torchreg.verification.agreement import agreement
 from torchreg.verification.candidates import (
@@ -25,16 +25,17 @@ from torchreg.verification.candidates import (
     Poses,
     distinct,
     frames,
-    half_turns,
     joined,
     point_moments,
     runs_of,
     slides,
+    turns,
 )
 from torchreg.verification.evidence import Overlap, evidence, overlap
 from torchreg.verification.information import WeakestMotion, information_matrices, weakest_motions
 from torchreg.verification.model import log_odds
 from torchreg.verification.pairs import (
+    ComparedFeatures,
     PairLengths,
     PreparedPairs,
     ProposedPoses,
@@ -47,10 +48,10 @@ from torchreg.verification.pairs import (
     work_of_pairs,
 )
 from torchreg.verification.scans import even_rows
-from torchreg.verification.verdicts import Verdict, collect, no_pose, verdicts
+from torchreg.verification.verdicts import JudgedPair, Verdict, judged_pair, no_pose, verdicts
 
 _APART = 6.0  # inlier thresholds by which distinct poses move the source at least (rms); ICP bridges less
-_PROBE_GAP = 5.0  # log-odds below the best at which a probe is not worth refining
+_PROBE_GAP = 3.5  # log-odds below the best at which a probe is not worth refining
 _ICP_POINTS = 600  # of each source
 
 
@@ -59,29 +60,33 @@ def verify(
     target: Clouds,
     proposed: Sequence[ProposedPoses],
     lengths: Sequence[PairLengths],
+    features: Sequence[ComparedFeatures],
     work: WorkPerPair,
-) -> RegistrationResult:
-    """Choose among the candidate poses of every pair and judge the choice.
+) -> list[JudgedPair]:
+    """Choose among the candidate poses of every pair and judge the choice; ``collect`` makes a result of the verdicts.
 
     Args:
         source: B clouds with normals.
         target: B clouds with normals.
         proposed: at least one.
         lengths: one per pair.
+        features: one per pair.
         work: spent per pair.
 
     Returns:
-        RegistrationResult with probability and all that follows it; ``correspondences`` and ``hypotheses`` are those
-        of the proposal whose matches support the pose most. No gradients.
+        The verdict on every pair, with the matches of the proposal that supports the pose most. No gradients.
     """
     source, target = source.detach(), target.detach()
     sources, targets, names = source.unpack(), target.unpack(), [part.origin for part in proposed]
     # one row per pair, with a column per proposal
-    matches = list(zip(*(match_endpoints(source, target, part.matches) for part in proposed), strict=True))
+    matches = list(zip(*(match_endpoints(source, target, part) for part in proposed), strict=True))
     poses = list(zip(*(part.poses for part in proposed), strict=True))
 
     def judge(members: Sequence[int]) -> list[Verdict]:
-        pairs = [centered_pair(sources[b], targets[b], matches[b], poses[b], lengths[b], work.poses) for b in members]
+        pairs = [
+            centered_pair(sources[b], targets[b], matches[b], poses[b], lengths[b], features[b], work.poses)
+            for b in members
+        ]
         choice = choose(prepared_pairs(pairs, work.sample), initial_poses(pairs), work)
         return verdicts(pairs, choice, names, work.accepted)
 
@@ -93,7 +98,7 @@ def verify(
     for b in groups.large:  # alone, and every operation on all threads
         judged[b] = judge([b])[0]
     every = [judged[b] if b in judged else no_pose(poses[b][0]) for b in range(len(source))]
-    return collect(source, target, proposed, every)
+    return [judged_pair(verdict, proposed[verdict.proposal], source, target, b) for b, verdict in enumerate(every)]
 
 
 def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
@@ -117,7 +122,7 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     candidates = _distinct(pairs, span, joined([icp.refine(foremost), candidates]))
 
     best, shared, motion = best_held(candidates)
-    probes = joined([slides(best.poses, motion, pairs.threshold), half_turns(best.poses, middle)])
+    probes = joined([slides(best.poses, motion, pairs.threshold), turns(best.poses, middle)])
     probed = weigh(pairs, probes.take(probes.pair.sort(stable=True).indices))
     promising = (probed.odds > best.odds[probed.poses.pair] - _PROBE_GAP).nonzero()[:, 0]
     if len(promising) > 0:
