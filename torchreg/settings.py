@@ -224,7 +224,8 @@ class Settings(StageSettings):
         "Search",
         "Work spent per pair; by default balanced, and plain with the presets paper and learned. plain: one set of "
         "features and one solver, as in the paper. With the others, candidate poses compete on the clouds themselves, "
-        "from one set of features (fast), two (balanced), or all sets and both solvers (thorough).",
+        "from one set of features (fast), with a second look at pairs in doubt (balanced), or from all sets, both "
+        "solvers and always two looks (thorough).",
         choices=EFFORTS,
         change=_field("effort"),
     )

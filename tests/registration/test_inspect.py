@@ -119,3 +119,14 @@ def test_a_viewpoint_of_nan_counts_as_unknown():
     notes = notes_on(source, source, (tr.PAPER, tr.PAPER))
     assert notes[0] == ()
     assert len(notes[1]) == 2
+
+
+def test_what_becomes_of_given_normals_is_noted():
+    pair = room_pair(300)
+    source = tr.estimate_normals(pair.source, tr.neighbors(pair.source, 0.8, 20))
+    known = tr.register(source, pair.target).notes[0]
+    assert "normals of the source are estimated anew, turned to its scanner" in known
+    blind = replace(source, viewpoint=None)
+    given = tr.register(blind, pair.target).notes[0]
+    assert "normals of the source are estimated anew, on the sides of the given ones, where these agree" in given
+    assert not any("normals of the target" in note for note in (*known, *given))

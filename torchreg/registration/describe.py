@@ -21,6 +21,7 @@ from torchreg.geometry.numerics.partition import partition
 from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import in_morton_order, voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
+from torchreg.preprocess.orientation import orient_like
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, set_aside, too_wide
 from torchreg.registration.options import RegistrationOptions
@@ -82,8 +83,17 @@ def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_byte
         one.defect or too_wide(one, description.voxel_size)
         for one, description in zip(facts, descriptions, strict=True)
     ]
-    thin = downsample(set_aside(clouds.detach(), defects), [description.voxel_size for description in descriptions])
+    usable = set_aside(hinted(clouds.detach()), defects)
+    thin = downsample(usable, [description.voxel_size for description in descriptions])
     return replace(describe_thin(thin, descriptions, max_bytes), facts=facts)
+
+
+def hinted(clouds: Clouds) -> Clouds:
+    """Clouds whose normals are hints at signs alone: zero where a scanner is known, whose position says more."""
+    if clouds.normals is None:
+        return clouds
+    known = clouds.viewpoint_known.repeat_interleave(torch.tensor(clouds.lengths, device=clouds.device))
+    return replace(clouds, normals=clouds.normals.masked_fill(known[:, None], 0.0))
 
 
 def describe_thin(thin: Clouds, descriptions: Sequence[Description], max_bytes: int) -> DescribedClouds:
@@ -119,11 +129,16 @@ def downsample(cloud: Clouds, voxel_sizes: Sequence[float | None]) -> Clouds:
 
 @stage("neighbors and normals")
 def oriented(cloud: Clouds, descriptions: Sequence[Description]) -> tuple[Clouds, Neighborhoods]:
-    """Clouds with normals, and the neighborhoods that normals and descriptors share."""
+    """Clouds with normals, and the neighborhoods that normals and descriptors share.
+
+    Normals that the clouds have are hints at signs (``hinted``); lines are estimated anew.
+    """
     widest = torch.tensor([description.widest for description in descriptions], dtype=torch.float64)
     near = neighbors(cloud, widest, max(description.max_neighbors for description in descriptions))
     radii = [description.normal_radius for description in descriptions]
-    return estimate_normals(cloud, _support(cloud, near, radii, descriptions[0].normal_max_neighbors)), near
+    support = _support(cloud, near, radii, descriptions[0].normal_max_neighbors)
+    turned = estimate_normals(cloud, support)
+    return turned if cloud.normals is None else orient_like(turned, cloud.normals, near), near
 
 
 @stage("descriptors")
@@ -132,6 +147,13 @@ def describe(cloud: Clouds, near: Neighborhoods, descriptors: Sequence[Sequence[
 
     ``near`` is as wide as every support at least; ``descriptors``, of every cloud, differ in lengths only.
     """
+    return features_of(cloud, near, descriptors)
+
+
+def features_of(
+    cloud: Clouds, near: Neighborhoods, descriptors: Sequence[Sequence[Descriptor]]
+) -> tuple[Features, ...]:
+    """As ``describe``, as a part of another stage."""
     return tuple(_described(cloud, near, records) for records in zip(*descriptors, strict=True))
 
 

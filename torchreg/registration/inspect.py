@@ -29,6 +29,7 @@ class CloudFacts(NamedTuple):
     colors: tuple[float, float] | None  # the least and the greatest number among its colors; ``None`` without colors
     faced: bool  # whether its viewpoint is known
     assumed: bool  # whether it has a viewpoint that is only a guess
+    normals: bool  # whether it has normals
 
     @property
     def lengths(self) -> Lengths:
@@ -102,6 +103,10 @@ def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOpti
         consequence = "normals are turned to it to propose poses, but neither their signs nor free space are evidence"
         notes.append(f"the scanner's position is only assumed for the {' and the '.join(guessed)}: {consequence}")
     for name, facts in sides:
+        if facts.normals:
+            use = "turned to its scanner" if facts.faced else "on the sides of the given ones, where these agree"
+            notes.append(f"normals of the {name} are estimated anew, {use}")
+    for name, facts in sides:
         if facts.colors is not None and (facts.colors[0] < 0 or facts.colors[1] > 1):
             low, high = facts.colors
             notes.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
@@ -130,6 +135,7 @@ def _facts(cloud: Clouds) -> CloudFacts:
         colors=colors,
         faced=bool(cloud.viewpoint_known.all()),
         assumed=bool(cloud.viewpoint_assumed.any()),
+        normals=cloud.normals is not None,
     )
 
 

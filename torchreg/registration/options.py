@@ -45,9 +45,10 @@ class RegistrationOptions:
             itself where that is RANSAC.
         effort: work spent per pair. ``"plain"`` is the paper's procedure with these features and this solver, and
             no more. The others let several candidate poses compete on the clouds themselves, refine them and
-            judge the winner: ``"fast"`` from one set of features, ``"balanced"`` from two, ``"thorough"`` from
-            several and by both of the library's solvers. Lengths do not depend on it; where ``register`` derives
-            them, ``options_for`` takes them half as large again for ``"fast"``.
+            judge the winner: ``"fast"`` from one set of features, ``"balanced"`` with a second look at other scales
+            where no pose convinces, ``"thorough"`` from several sets, by both of the library's solvers and always with
+            that second look. Lengths do not depend on it; where ``register`` derives them, ``options_for`` takes them
+            half as large again for ``"fast"``.
 
     The names from before descriptors and solvers were records can still be read, and given to the constructor and
     ``dataclasses.replace``: ``feature_radius`` and ``feature_max_neighbors``; ``color``, ``color_weights``,

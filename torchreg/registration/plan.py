@@ -18,7 +18,7 @@ from torch import Tensor
 from torchreg.errors import at_least, expect, expect_device
 from torchreg.geometry.numerics.partition import partition
 from torchreg.refinement.pairing import numbered
-from torchreg.registration.describe import description_of, downsample, expect_alike
+from torchreg.registration.describe import description_of, downsample, expect_alike, hinted
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, refusal, set_aside
 from torchreg.registration.options import RegistrationOptions
@@ -81,9 +81,16 @@ class Plan:
         distinct = {number: single[number] for side in self._numbers for number in side}
         self._facts = {number: facts_of(cloud)[0] for number, cloud in distinct.items()}
         self.options = self._options(source, target, options, effort, solver)
-        # normals are estimated anew, and colors of one side alone are of no use: without them all clouds can be packed
+        # colors of one side alone are of no use; normals are there for all clouds or none, so that they can be packed
+        hints = any(cloud.normals is not None for cloud in distinct.values())
         clouds = {
-            number: replace(cloud, normals=None, colors=cloud.colors if self.colored else None)
+            number: hinted(
+                replace(
+                    cloud,
+                    normals=torch.zeros_like(cloud.points) if hints and cloud.normals is None else cloud.normals,
+                    colors=cloud.colors if self.colored else None,
+                )
+            )
             for number, cloud in distinct.items()
         }
         clouds[_NOTHING] = set_aside(clouds[self._numbers[0][0]], [True])

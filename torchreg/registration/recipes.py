@@ -6,9 +6,11 @@ together. The sets share their descriptors: each is computed once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
@@ -34,8 +36,8 @@ class Recipe(NamedTuple):
 def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, ...]:
     """The recipes to try, that of the options first; without colors, blocks that need them are left out.
 
-    Plain and fast try that one alone; balanced also the geometry by itself; thorough each color block beside the
-    geometry too, and all of these both by compatibility with two nearest neighbors and by RANSAC.
+    Plain, fast and balanced try that one alone; thorough also the geometry by itself and each color block beside the
+    geometry, and all of these both by compatibility with two nearest neighbors and by RANSAC.
     """
     blocks = [
         block
@@ -51,11 +53,9 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
         return Recipe(numbers, names, tuple(blocks[number][1] for number in numbers), neighbors, solver)
 
     first = recipe(everything, options.match_neighbors, options.solver.name)
-    if options.effort in ("plain", "fast"):
+    if options.effort != "thorough":
         return (first,)
     sets = [everything, geometry] if geometry else [everything]
-    if options.effort == "balanced":
-        return tuple(dict.fromkeys(recipe(numbers, first.neighbors, first.solver) for numbers in sets))
     sets += [tuple(sorted((*geometry, number))) for number in color]
     several = first.neighbors if options.ratio is not None else max(first.neighbors, 2)
     ways = ((several, "compatibility"), (first.neighbors, "ransac"))
@@ -64,10 +64,16 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
 
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:
     """Fuse the recipe's blocks, their histograms moved towards square roots by the options' ``root``."""
-    blocks = []
-    for number in recipe.blocks:
-        block, record = side.features[number], side.descriptions[0].descriptors[number]
-        if options.root > 0 and record.is_histogram:
-            block = replace(block, values=rooted(block.values, options.root))
-        blocks.append(block)
-    return fuse(*blocks, weights=recipe.weights)
+    records = [side.descriptions[0].descriptors[number] for number in recipe.blocks]
+    return fused_blocks([side.features[number] for number in recipe.blocks], records, recipe.weights, options.root)
+
+
+def fused_blocks(
+    blocks: Sequence[Features], records: Sequence[Descriptor], weights: Sequence[float], root: float
+) -> Features:
+    """Fuse the features of descriptors, histograms moved towards square roots by ``root`` in [0, 1]."""
+    parts = [
+        replace(block, values=rooted(block.values, root)) if root > 0 and record.is_histogram else block
+        for block, record in zip(blocks, records, strict=True)
+    ]
+    return fuse(*parts, weights=tuple(weights))

@@ -1,8 +1,9 @@
 """The whole pipeline: two batches of clouds in, their transforms out.
 
 downsample -> neighbors -> estimate_normals -> describe      each distinct cloud once (``describe_thin``)
--> fuse -> match_mutual -> solve                             once per set of features (``recipes_of``)
--> weigh, refine by ICP, judge                               the poses of all sets together (``verify``)
+-> fuse -> match_mutual -> solve -> rivals                   once per set of features (``recipes_of``)
+-> weigh, refine by ICP, judge                               the poses of all sets together (``decide``)
+-> the same once more, at other scales                       of pairs in doubt (``look_again``)
 """
 
 from __future__ import annotations
@@ -14,18 +15,20 @@ import torch
 
 from torchreg.errors import expect
 from torchreg.matching.mutual import match_mutual
+from torchreg.registration.decide import decide, look_again
 from torchreg.registration.describe import describe_thin, description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import pair_notes, refusal
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
 from torchreg.registration.recipes import Recipe, fused, recipes_of
+from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
-from torchreg.types import Clouds, Correspondences, RegistrationResult, StageCounts
-from torchreg.verification import WORK, PairLengths, ProposedPoses, proposals_of
-from torchreg.verification.verify import verify
+from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
+from torchreg.verification import ProposedPoses, proposals_of
+from torchreg.verification.verdicts import collect
 
 
 def register(
@@ -41,8 +44,8 @@ def register(
     """Find the rigid transform of every pair, without a first guess.
 
     The paper's procedure (section 3.2): downsample, normals, FPFH, color histograms, fusion, mutual matches,
-    hypotheses from them. Beyond the paper, the poses of several sets of features compete: they are weighed on the
-    clouds themselves, refined by ICP, and the winner is judged (``effort``).
+    hypotheses from them. Beyond the paper, poses compete: they are weighed on the clouds themselves, refined by ICP,
+    and the winner is judged; pairs in doubt are looked at again at other scales (``effort``).
 
     A cloud that stands in several pairs is described once for every set of lengths that its pairs have.
 
@@ -130,31 +133,50 @@ def _find_poses(
     facts = list(zip(source.facts, target.facts, strict=True))
     refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
     source, target = source.without(refused), target.without(refused)
-    proposed = []
+    drawn = base_seed(torch.Generator().manual_seed(seed))
+    effort = options[0].effort
+    proposed: list[ProposedPoses] = []
     for recipe in recipes_of(options[0], colored=colored):
-        matches = _match(source, target, recipe, options[0])
-        proposed.append(_solve(source, target, matches, recipe, options, seed))
-    result = _decide(source, target, proposed, options)
+        features = (fused(source, recipe, options[0]), fused(target, recipe, options[0]))
+        matches = _match(*features, recipe, options[0])
+        proposed.append(_solve(source, target, matches, recipe, options, drawn))
+        if len(proposed) == 1 and effort in ("balanced", "thorough"):
+            proposed.append(_find_rivals(source, target, features, proposed[0], options, drawn))
+    if effort == "plain":
+        result = _take_best(source, target, proposed[0], options)
+        again = {}
+    else:
+        judged = decide(source, target, proposed, options)
+        again = look_again(source, target, proposed, judged, options, drawn)
+        last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
+        result = collect(source.cloud, target.cloud, last)
+    proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
     return replace(
         result,
         failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)),
         options=tuple(options),
         notes=tuple(pair_notes(*both, option) for both, option in zip(facts, options, strict=True)),
-        stages=_stage_counts(source, target, proposed),
+        stages=_stage_counts(source, target, proposals),
     )
 
 
 @stage("matching")
-def _match(
-    source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
-) -> Correspondences:
-    """Fuse the recipe's blocks and match them mutually."""
-    return match_mutual(
-        fused(source, recipe, options),
-        fused(target, recipe, options),
-        ratio=options.ratio,
-        neighbors=recipe.neighbors,
-    )
+def _match(source: Features, target: Features, recipe: Recipe, options: RegistrationOptions) -> Correspondences:
+    """Match the features of a recipe mutually."""
+    return match_mutual(source, target, ratio=options.ratio, neighbors=recipe.neighbors)
+
+
+@stage("rivals")
+def _find_rivals(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    features: tuple[Features, Features],
+    first: ProposedPoses,
+    options: Sequence[RegistrationOptions],
+    seed: int,
+) -> ProposedPoses:
+    """Propose what the best poses of the first recipe leave unexplained."""
+    return rivals(source.cloud, target.cloud, features, first, options, seed)
 
 
 @stage("hypotheses")
@@ -168,32 +190,21 @@ def _solve(
 ) -> ProposedPoses:
     """Turn matches into the distinct poses of every pair, by the recipe's solver."""
     solvers = [option.solver_named(recipe.solver).at_effort(option.effort) for option in options]
-    drawn = base_seed(torch.Generator().manual_seed(seed))
-    poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=drawn)
+    poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=seed)
     return ProposedPoses(recipe.origin, matches, poses)
 
 
 @stage("decision")
-def _decide(
-    source: DescribedClouds,
-    target: DescribedClouds,
-    proposed: Sequence[ProposedPoses],
-    options: Sequence[RegistrationOptions],
+def _take_best(
+    source: DescribedClouds, target: DescribedClouds, proposed: ProposedPoses, options: Sequence[RegistrationOptions]
 ) -> RegistrationResult:
-    """Take the solver's best pose of every pair (plain), or choose among all on the clouds and judge it."""
-    effort = options[0].effort
-    if effort == "plain":
-        solvers = [option.solver for option in options]
-        return result_of_poses(source.cloud, target.cloud, proposed[0].matches, proposed[0].poses, solvers)
-    lengths = [
-        PairLengths(option.inlier_threshold, max(spacings))
-        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
-    ]
-    return verify(source.cloud, target.cloud, proposed, lengths, WORK[effort])
+    """Take the pose of every pair that most matches agree on."""
+    solvers = [option.solver for option in options]
+    return result_of_poses(source.cloud, target.cloud, proposed.matches, proposed.poses, solvers)
 
 
 def _stage_counts(
-    source: DescribedClouds, target: DescribedClouds, proposed: Sequence[ProposedPoses]
+    source: DescribedClouds, target: DescribedClouds, proposals: Sequence[tuple[Proposal, ...]]
 ) -> tuple[StageCounts, ...]:
     """Points and poses of every pair, stage by stage."""
 
@@ -203,5 +214,4 @@ def _stage_counts(
     given = of_both(lambda side: [facts.points for facts in side.facts])
     points = of_both(lambda side: side.cloud.lengths)
     described = of_both(lambda side: [int(valid.sum()) for valid in side.features[0].valid.split(side.cloud.lengths)])
-    proposals = (proposals_of(proposed, b) for b in range(len(source)))
     return tuple(map(StageCounts, given, points, described, proposals))

@@ -1,0 +1,128 @@
+"""The decision on pairs: all poses weighed on the clouds and judged, and pairs in doubt looked at once more.
+
+The first look proposes poses in one or a few ways. Where its best pose does not convince, ``second_look`` proposes
+more, and all of them are judged together; so an easy pair costs little, and a hard one is given what it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.descriptors.fuse import unit_rows
+from torchreg.geometry.numerics.threads import shared_out
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.looks import second_look
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.stopwatch import stage
+from torchreg.types import Failure, Proposal
+from torchreg.types.packing import spans
+from torchreg.verification import (
+    WORK,
+    WORK_AGAIN,
+    ComparedFeatures,
+    PairLengths,
+    ProposedPoses,
+    WorkPerPair,
+    proposals_of,
+)
+from torchreg.verification.impostors import IMPOSTORS
+from torchreg.verification.verdicts import JudgedPair
+from torchreg.verification.verify import verify
+
+
+class SecondLook(NamedTuple):
+    """What a second look at one pair showed."""
+
+    judged: JudgedPair  # over the poses of both looks
+    proposals: tuple[Proposal, ...]  # besides those of the first look
+
+
+@stage("decision")
+def decide(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    proposed: Sequence[ProposedPoses],
+    options: Sequence[RegistrationOptions],
+) -> list[JudgedPair]:
+    """Choose among the poses of every pair on the clouds, and judge the choice."""
+    return _judged(source, target, proposed, options, WORK[options[0].effort])
+
+
+@stage("second look")
+def look_again(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    proposed: Sequence[ProposedPoses],
+    judged: Sequence[JudgedPair],
+    options: Sequence[RegistrationOptions],
+    seed: int,
+) -> dict[int, SecondLook]:
+    """Look again at pairs, each by itself: at ``"balanced"`` those that are refused, at ``"thorough"`` all."""
+    work = WORK_AGAIN.get(options[0].effort)
+    if work is None:
+        return {}
+    pairs = enumerate(zip(judged, source.cloud.lengths, target.cloud.lengths, strict=True))
+    again = [
+        b
+        for b, (pair, *lengths) in pairs
+        if min(lengths) > 0 and _in_doubt(pair.verdict.failure, always=options[b].effort == "thorough")
+    ]
+    if not again:
+        return {}
+    sources, targets = source.unpack(), target.unpack()
+
+    def look(b: int) -> SecondLook:
+        seen = second_look(sources[b], targets[b], options[b], seed)
+        both = [part.of_pair(b, source.cloud, target.cloud) for part in proposed] + seen
+        verdict = _judged(sources[b], targets[b], both, options[b : b + 1], work)[0]
+        return SecondLook(verdict, proposals_of(seen, 0))
+
+    workers = torch.get_num_threads() if source.cloud.device.type == "cpu" else 1
+    return dict(zip(again, shared_out(look, again, workers), strict=True))
+
+
+def _in_doubt(failure: Failure | None, *, always: bool) -> bool:
+    """Whether a second look may help: not where no rigid pose can be right."""
+    return always if failure is None else failure.kind not in IMPOSTORS
+
+
+def _judged(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    proposed: Sequence[ProposedPoses],
+    options: Sequence[RegistrationOptions],
+    work: WorkPerPair,
+) -> list[JudgedPair]:
+    lengths = [
+        PairLengths(option.inlier_threshold, max(spacings))
+        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
+    ]
+    known = (source.cloud.viewpoint_known & target.cloud.viewpoint_known).tolist()
+    compared = [
+        ComparedFeatures(*sides) for sides in zip(_compared(source, known), _compared(target, known), strict=True)
+    ]
+    return verify(source.cloud, target.cloud, proposed, lengths, compared, work)
+
+
+def _compared(side: DescribedClouds, known: Sequence[bool]) -> list[tuple[Tensor | None, Tensor | None]]:
+    """Of every cloud, rows of unit length: the first descriptor of geometry, and the first of color.
+
+    Where the scanners of both clouds are not ``known``, what depends on the sign of the normals is left out.
+    """
+    first: dict[bool, int] = {}
+    for number, record in enumerate(side.descriptions[0].descriptors):
+        if not record.is_pairwise:
+            first.setdefault(record.needs_colors, number)
+
+    def rows(b: int, number: int | None) -> Tensor | None:
+        if number is None:
+            return None
+        begin, end = spans(side.cloud.offsets)[b]
+        values = side.features[number].values[begin:end]
+        return unit_rows(values if known[b] else side.descriptions[b].descriptors[number].unsigned(values))
+
+    return [(rows(b, first.get(False)), rows(b, first.get(True))) for b in range(len(side))]
