@@ -15,6 +15,8 @@ from torchreg.benchmark.core.timing import interleaved, spread
 
 __all__ = [
     "DOCS",
+    "HARD",
+    "MADE",
     "REAL",
     "RESULTS",
     "ROOT",
@@ -35,6 +37,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RESULTS = ROOT / "bench" / "results"
 REAL = ROOT.parent / "shared" / "data" / "real"
+HARD = ROOT.parent / "shared" / "data" / "hard"
+MADE = ROOT.parent / "shared" / "cases" / "made_pairs.py"
 
 
 def bench_parser(description: str | None) -> argparse.ArgumentParser:
@@ -65,8 +69,8 @@ def publish(block: str, text: str) -> None:
     pages[0].write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
 
 
-def listed_pairs() -> Sequence[dict[str, Any]]:
-    """The real pairs beside the checkout, as their list has them."""
-    if not REAL.exists():
-        raise SystemExit(f"the real pairs are not there: {REAL.relative_to(ROOT.parent)} beside the checkout")
-    return json.loads((REAL / "pairs.json").read_text())["pairs"]
+def listed_pairs(folder: Path = REAL) -> Sequence[dict[str, Any]]:
+    """The real pairs in a folder beside the checkout, as their list has them."""
+    if not folder.exists():
+        raise SystemExit(f"the real pairs are not there: {folder.relative_to(ROOT.parent)} beside the checkout")
+    return json.loads((folder / "pairs.json").read_text())["pairs"]
