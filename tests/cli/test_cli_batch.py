@@ -93,7 +93,7 @@ def test_the_tables_agree(batch, project, tmp_path):
         assert cells["probability"] == ("" if line["probability"] is None else repr(line["probability"]))
     times = (out / "times.csv").read_text().splitlines()
     assert len(times) == 4
-    assert times[0].startswith("name,matching,hypotheses,decision")
+    assert times[0].startswith("name,matching,hypotheses,rivals,decision,second look")
 
 
 def test_a_pair_alone_has_the_lengths_and_the_result_of_register(batch, room, tmp_path):

@@ -87,7 +87,7 @@ def test_what_needs_colors_is_left_out_where_there_are_none():
     spacing = float(tr.spacing(pair.source)[0])
     options = options_with(spacing, Shape(radius=4 * spacing))
     result = tr.register(*bare, options)
-    assert {proposal.origin for proposal in result.stages[0].proposals} == {"fpfh, compatibility"}
+    assert all(proposal.origin.startswith("fpfh, compatibility") for proposal in result.stages[0].proposals)
     with refuses("options.descriptors", "needs no colors"):
         tr.register(*bare, replace(options, descriptors=(Shape(radius=1.0),), weights=None))
 

@@ -16,7 +16,7 @@ from torchreg.geometry.se3 import apply_rotation
 from torchreg.solvers import PairPoses
 from torchreg.types import Clouds, Correspondences, Failure
 from torchreg.types.packing import offsets_of
-from torchreg.verification import ComparedFeatures, PairLengths, ProposedPoses, WorkPerPair
+from torchreg.verification import OverlapFeatures, PairLengths, ProposedPoses, WorkPerPair
 from torchreg.verification.pairs import groups_of
 from torchreg.verification.verdicts import collect
 from torchreg.verification.verify import verify
@@ -35,7 +35,7 @@ class Problem(NamedTuple):
     matches: list[tuple[torch.Tensor, torch.Tensor]]
     poses: list[PairPoses]
     lengths: PairLengths
-    features: ComparedFeatures = ComparedFeatures()
+    features: OverlapFeatures = OverlapFeatures()
 
 
 def poses_of(rotation, translation, matches, failure=None):
@@ -72,7 +72,7 @@ def problem(seed: int, count: int, poses: int = 5, matches: int = 80) -> Problem
         other[::2] = torch.randint(len(target.points), (len(other[::2]),), generator=g)
         parts.append(((own, other), poses_of(rotation, translation, len(own))))
     lengths = PairLengths(threshold=0.2 if count > 500 else 0.4, spacing=0.1)
-    features = ComparedFeatures(described(source, g), described(target, g))
+    features = OverlapFeatures(described(source, g), described(target, g))
     return Problem(source, target, [part[0] for part in parts], [part[1] for part in parts], lengths, features)
 
 
@@ -98,7 +98,7 @@ def few_points(seed: int, count: int, flat: bool) -> Problem:
     none = torch.zeros(0, dtype=torch.int64)
     eye = torch.eye(3, dtype=torch.float64)[None]
     poses = poses_of(eye, torch.full((1, 3), 0.01, dtype=torch.float64), 0)
-    features = ComparedFeatures(described(cloud, g), described(cloud, g))
+    features = OverlapFeatures(described(cloud, g), described(cloud, g))
     return Problem(cloud, cloud, [(none, none), (none, none)], [poses, poses], PairLengths(0.3, 0.2), features)
 
 
@@ -122,7 +122,7 @@ def gray(problems: list[Problem]) -> list[Problem]:
         one._replace(
             source=replace(one.source, colors=None),
             target=replace(one.target, colors=None),
-            features=ComparedFeatures(*((geometry, None) for geometry, _ in one.features)),
+            features=OverlapFeatures(*((geometry, None) for geometry, _ in one.features)),
         )
         for one in problems
     ]

@@ -21,12 +21,10 @@ from torchreg.registration.stopwatch import stage
 from torchreg.types import Failure, Proposal
 from torchreg.types.packing import spans
 from torchreg.verification import (
-    WORK,
     WORK_AGAIN,
-    ComparedFeatures,
+    OverlapFeatures,
     PairLengths,
     ProposedPoses,
-    WorkPerPair,
     proposals_of,
 )
 from torchreg.verification.impostors import IMPOSTORS
@@ -41,15 +39,17 @@ class SecondLook(NamedTuple):
     proposals: tuple[Proposal, ...]  # besides those of the first look
 
 
-@stage("decision")
-def decide(
-    source: DescribedClouds,
-    target: DescribedClouds,
-    proposed: Sequence[ProposedPoses],
-    options: Sequence[RegistrationOptions],
-) -> list[JudgedPair]:
-    """Choose among the poses of every pair on the clouds, and judge the choice."""
-    return _judged(source, target, proposed, options, WORK[options[0].effort])
+def compared(
+    source: DescribedClouds, target: DescribedClouds, options: Sequence[RegistrationOptions]
+) -> tuple[list[PairLengths], list[OverlapFeatures]]:
+    """What ``verify`` compares the two clouds of every pair by: lengths, and features of their points."""
+    lengths = [
+        PairLengths(option.inlier_threshold, max(spacings))
+        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
+    ]
+    known = (source.cloud.viewpoint_known & target.cloud.viewpoint_known).tolist()
+    features = zip(_described_rows(source, known), _described_rows(target, known), strict=True)
+    return lengths, [OverlapFeatures(*sides) for sides in features]
 
 
 @stage("second look")
@@ -78,8 +78,9 @@ def look_again(
     def look(b: int) -> SecondLook:
         seen = second_look(sources[b], targets[b], options[b], seed)
         both = [part.of_pair(b, source.cloud, target.cloud) for part in proposed] + seen
-        verdict = _judged(sources[b], targets[b], both, options[b : b + 1], work)[0]
-        return SecondLook(verdict, proposals_of(seen, 0))
+        one, other = sources[b], targets[b]
+        judged_again = verify(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)
+        return SecondLook(judged_again[0], proposals_of(seen, 0))
 
     workers = torch.get_num_threads() if source.cloud.device.type == "cpu" else 1
     return dict(zip(again, shared_out(look, again, workers), strict=True))
@@ -90,25 +91,7 @@ def _in_doubt(failure: Failure | None, *, always: bool) -> bool:
     return always if failure is None else failure.kind not in IMPOSTORS
 
 
-def _judged(
-    source: DescribedClouds,
-    target: DescribedClouds,
-    proposed: Sequence[ProposedPoses],
-    options: Sequence[RegistrationOptions],
-    work: WorkPerPair,
-) -> list[JudgedPair]:
-    lengths = [
-        PairLengths(option.inlier_threshold, max(spacings))
-        for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
-    ]
-    known = (source.cloud.viewpoint_known & target.cloud.viewpoint_known).tolist()
-    compared = [
-        ComparedFeatures(*sides) for sides in zip(_compared(source, known), _compared(target, known), strict=True)
-    ]
-    return verify(source.cloud, target.cloud, proposed, lengths, compared, work)
-
-
-def _compared(side: DescribedClouds, known: Sequence[bool]) -> list[tuple[Tensor | None, Tensor | None]]:
+def _described_rows(side: DescribedClouds, known: Sequence[bool]) -> list[tuple[Tensor | None, Tensor | None]]:
     """Of every cloud, rows of unit length: the first descriptor of geometry, and the first of color.
 
     Where the scanners of both clouds are not ``known``, what depends on the sign of the normals is left out.

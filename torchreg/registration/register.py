@@ -15,7 +15,7 @@ import torch
 
 from torchreg.errors import expect
 from torchreg.matching.mutual import match_mutual
-from torchreg.registration.decide import decide, look_again
+from torchreg.registration.decide import compared, look_again
 from torchreg.registration.describe import describe_thin, description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import pair_notes, refusal
@@ -27,8 +27,9 @@ from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
-from torchreg.verification import ProposedPoses, proposals_of
-from torchreg.verification.verdicts import collect
+from torchreg.verification import WORK, ProposedPoses, proposals_of
+from torchreg.verification.verdicts import JudgedPair, collect
+from torchreg.verification.verify import verify
 
 
 def register(
@@ -146,7 +147,7 @@ def _find_poses(
         result = _take_best(source, target, proposed[0], options)
         again = {}
     else:
-        judged = decide(source, target, proposed, options)
+        judged = _decide(source, target, proposed, options)
         again = look_again(source, target, proposed, judged, options, drawn)
         last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
         result = collect(source.cloud, target.cloud, last)
@@ -192,6 +193,18 @@ def _solve(
     solvers = [option.solver_named(recipe.solver).at_effort(option.effort) for option in options]
     poses = poses_of_pairs(source.cloud, target.cloud, matches, solvers, seed=seed)
     return ProposedPoses(recipe.origin, matches, poses)
+
+
+@stage("decision")
+def _decide(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    proposed: Sequence[ProposedPoses],
+    options: Sequence[RegistrationOptions],
+) -> list[JudgedPair]:
+    """Choose among the poses of every pair on the clouds, and judge the choice."""
+    work = WORK[options[0].effort]
+    return verify(source.cloud, target.cloud, proposed, *compared(source, target, options), work)
 
 
 @stage("decision")

@@ -3,11 +3,11 @@
 from torchreg.verification.pairs import (
     WORK,
     WORK_AGAIN,
-    ComparedFeatures,
+    OverlapFeatures,
     PairLengths,
     ProposedPoses,
     WorkPerPair,
     proposals_of,
 )
 
-__all__ = ["WORK", "WORK_AGAIN", "ComparedFeatures", "PairLengths", "ProposedPoses", "WorkPerPair", "proposals_of"]
+__all__ = ["WORK", "WORK_AGAIN", "OverlapFeatures", "PairLengths", "ProposedPoses", "WorkPerPair", "proposals_of"]

@@ -54,7 +54,7 @@ class PairLengths(NamedTuple):
     spacing: float
 
 
-class ComparedFeatures(NamedTuple):
+class OverlapFeatures(NamedTuple):
     """Rows of unit length that describe the points of one pair: of geometry (P, D) and of color, ``None`` without."""
 
     source: tuple[Tensor | None, Tensor | None] = (None, None)
@@ -90,7 +90,7 @@ class CenteredPair(NamedTuple):
     matches: Sequence[MatchEndpoints]  # of every proposal, between those frames
     poses: Poses  # of all proposals, between those frames
     lengths: PairLengths
-    features: ComparedFeatures
+    features: OverlapFeatures
 
 
 class PreparedPairs(NamedTuple):
@@ -156,7 +156,7 @@ def centered_pair(
     matches: Sequence[MatchEndpoints],
     poses: Sequence[PairPoses],
     lengths: PairLengths,
-    features: ComparedFeatures,
+    features: OverlapFeatures,
     most: int,
 ) -> CenteredPair:
     """One pair, clouds of a batch of one each, with the matches and at most so many poses of every proposal."""

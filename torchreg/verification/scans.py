@@ -61,7 +61,7 @@ def prepared_scans(
     """Prepare one side of G pairs, with ``sample`` points of each scan to weigh poses on.
 
     The clouds all have normals (colors), or none has; ``spacings``, of their points, and ``threshold`` (G,) are in
-    meters; ``features`` are as in ``ComparedFeatures``.
+    meters; ``features`` are as in ``OverlapFeatures``.
     """
     device = clouds[0].device
     sizes = [len(cloud.points) for cloud in clouds]

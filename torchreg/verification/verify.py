@@ -35,7 +35,7 @@ from torchreg.verification.evidence import Overlap, evidence, overlap
 from torchreg.verification.information import WeakestMotion, information_matrices, weakest_motions
 from torchreg.verification.model import log_odds
 from torchreg.verification.pairs import (
-    ComparedFeatures,
+    OverlapFeatures,
     PairLengths,
     PreparedPairs,
     ProposedPoses,
@@ -60,7 +60,7 @@ def verify(
     target: Clouds,
     proposed: Sequence[ProposedPoses],
     lengths: Sequence[PairLengths],
-    features: Sequence[ComparedFeatures],
+    features: Sequence[OverlapFeatures],
     work: WorkPerPair,
 ) -> list[JudgedPair]:
     """Choose among the candidate poses of every pair and judge the choice; ``collect`` makes a result of the verdicts.
