@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from determinism import same_bits
@@ -121,3 +123,23 @@ def test_pairs_in_doubt_do_not_see_each_other():
         assert same_bits(together.T_target_source[b], alone.T_target_source[0])
         assert same_bits(together.probability[b], alone.probability[0])
         assert together.stages[b] == alone.stages[0]
+
+
+def test_descriptors_of_both_clouds_alone_leave_no_second_look():
+    source, target, _ = moved_pair(FURNISHED, OTHER_ROOM)
+    gray = [replace(cloud, colors=torch.full_like(cloud.points, 0.5)) for cloud in (source, target)]
+    joint = tr.Pcfh(radius=0.5, equalization="joint")
+    options = replace(tr.derive_options(*gray)[0], descriptors=(joint,), weights=(1.0,))
+    result = tr.register(*gray, options)
+    assert result.success.tolist() == [False]
+    assert not any("times as" in proposal.origin for proposal in result.stages[0].proposals)
+
+
+def test_what_was_proposed_before_is_not_proposed_again():
+    source, target, _ = moved_pair(FURNISHED)
+    options = tr.derive_options(source, target)[0]
+    sides = [describe_clouds(cloud, options) for cloud in (source, target)]
+    every = [part.origin for part in second_look(*sides, options, 0)]
+    assert len(set(every)) == len(every)
+    assert [part.origin for part in second_look(*sides, options, 0, every[1:])] == every[:1]
+    assert second_look(*sides, options, 0, every) == []

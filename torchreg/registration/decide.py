@@ -76,7 +76,8 @@ def look_again(
     sources, targets = source.unpack(), target.unpack()
 
     def look(b: int) -> SecondLook:
-        seen = second_look(sources[b], targets[b], options[b], seed)
+        before = {part.origin for part in proposed}
+        seen = second_look(sources[b], targets[b], options[b], seed, before)
         both = [part.of_pair(b, source.cloud, target.cloud) for part in proposed] + seen
         one, other = sources[b], targets[b]
         judged_again = verify(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)
@@ -101,11 +102,14 @@ def _described_rows(side: DescribedClouds, known: Sequence[bool]) -> list[tuple[
         if not record.is_pairwise:
             first.setdefault(record.needs_colors, number)
 
-    def rows(b: int, number: int | None) -> Tensor | None:
+    def rows(b: int, begin: int, end: int, number: int | None) -> Tensor | None:
         if number is None:
             return None
-        begin, end = spans(side.cloud.offsets)[b]
         values = side.features[number].values[begin:end]
         return unit_rows(values if known[b] else side.descriptions[b].descriptors[number].unsigned(values))
 
-    return [(rows(b, first.get(False)), rows(b, first.get(True))) for b in range(len(side))]
+    both = (first.get(False), first.get(True))
+    return [
+        (rows(b, begin, end, both[0]), rows(b, begin, end, both[1]))
+        for b, (begin, end) in enumerate(spans(side.cloud.offsets))
+    ]

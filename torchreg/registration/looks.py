@@ -10,12 +10,11 @@ that they may have to those of the other cloud. All these poses then compete wit
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.matching.mutual import match_mutual
@@ -24,12 +23,12 @@ from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
 from torchreg.preprocess.orientation import orient_along_surfaces
-from torchreg.registration.describe import description_of, features_of
+from torchreg.registration.describe import features_of
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.recipes import fused_blocks
 from torchreg.solvers.batch import poses_of_pairs
-from torchreg.types import Clouds, Neighborhoods
+from torchreg.types import Clouds, Features
 from torchreg.types.lengths import scaled
 from torchreg.verification import ProposedPoses
 
@@ -74,16 +73,12 @@ _UNSEEN = (
 )
 
 
-class _Side(NamedTuple):
-    """One cloud at one spacing."""
-
-    cloud: Clouds  # with normals turned to the viewpoint
-    near: Neighborhoods  # as wide as the widest support
-    rows: Tensor  # (P,) of the described cloud, the nearest of its points
-
-
 def second_look(
-    source: DescribedClouds, target: DescribedClouds, options: RegistrationOptions, seed: int
+    source: DescribedClouds,
+    target: DescribedClouds,
+    options: RegistrationOptions,
+    seed: int,
+    before: Collection[str] = (),
 ) -> list[ProposedPoses]:
     """The poses of one pair, seen in other ways; their matches are rows of its clouds.
 
@@ -92,38 +87,81 @@ def second_look(
         target: one cloud.
         options: of the pair. Descriptors that look at both clouds of a pair are left out.
         seed: of every random draw, as the solvers take it.
+        before: origins of proposals that there are already, which are not made again.
 
     Returns:
         One proposal per way; none where no descriptor is left.
     """
     colored = source.cloud.colors is not None and target.cloud.colors is not None
-    records = [record for record in description_of(options, colored=colored).descriptors if not record.is_pairwise]
+    blocks = [
+        block
+        for block in zip(options.descriptors, options.weights, strict=True)
+        if (colored or not block[0].needs_colors) and not block[0].is_pairwise
+    ]
     known = bool(source.cloud.viewpoint_known[0]) and bool(target.cloud.viewpoint_known[0])
     proposed = []
     for coarser in (1.0, COARSER):
         ways = [way for way in (_SEEN if known else _SEEN + _UNSEEN) if way.coarser == coarser]
-        sides = [_side(side.cloud, options, records, ways) for side in (source, target)]
-        for way in ways:
-            chosen = _descriptors(records, way)
-            if chosen:
-                proposed.append(_proposed(sides, way, chosen, options, seed))
+        chosen = [(way, _blocks_of(way, blocks)) for way in ways]
+        chosen = [(way, of_way) for way, of_way in chosen if of_way and _origin(way, of_way, options) not in before]
+        if chosen:
+            records = [_wider(record, way) for way, of_way in chosen for record, _ in of_way]
+            one, other = (_Side(side.cloud, options, records, coarser) for side in (source, target))
+            proposed += [_proposed(one, other, way, of_way, options, seed) for way, of_way in chosen]
     return proposed
 
 
-def _side(described: Clouds, options: RegistrationOptions, records: Sequence[Descriptor], ways: Sequence[Way]) -> _Side:
-    """One cloud at the spacing of the ways, which is the same for all of them."""
-    coarser = ways[0].coarser
-    wider = [_wider(record, way) for record in records for way in ways]
-    radius = max(coarser * options.normal_radius, *(record.radius for record in wider))
-    most = max(options.normal_max_neighbors, *(record.max_neighbors for record in wider))
-    cloud = described
-    if coarser != 1:
-        cloud = voxel_downsample(replace(described, normals=None), coarser * _SPACING * options.inlier_threshold)
-    near = neighbors(cloud, radius, most)
-    if coarser != 1:
-        cloud = estimate_normals(cloud, near.restrict(coarser * options.normal_radius, options.normal_max_neighbors))
-    rows = nearest(cloud.points, described.points).index if coarser != 1 else torch.arange(len(cloud.points))
-    return _Side(cloud, near, rows.to(cloud.device))
+_Block = tuple[Descriptor, float]
+"""A descriptor of the options and its weight."""
+
+
+class _Side:
+    """One cloud at one spacing; what several ways share is computed once.
+
+    Attributes:
+        rows: (P,) of the described cloud, the nearest of its points.
+    """
+
+    def __init__(
+        self, described: Clouds, options: RegistrationOptions, records: Sequence[Descriptor], coarser: float
+    ) -> None:
+        normal_radius, normal_neighbors = coarser * options.normal_radius, options.normal_max_neighbors
+        radius = max(normal_radius, *(record.radius for record in records))
+        most = max(normal_neighbors, *(record.max_neighbors for record in records))
+        cloud = described
+        if coarser != 1:
+            cloud = voxel_downsample(replace(described, normals=None), coarser * _SPACING * options.inlier_threshold)
+        self._near = neighbors(cloud, radius, most)
+        self.rows = torch.arange(len(cloud.points), device=cloud.device)
+        if coarser != 1:
+            cloud = estimate_normals(cloud, self._near.restrict(normal_radius, normal_neighbors))
+            self.rows = nearest(cloud.points, described.points).index
+        self._clouds = {"viewpoint": cloud}
+        self._features: dict[tuple[Descriptor, str], Features] = {}
+
+    def cloud(self, signs: str = "viewpoint") -> Clouds:
+        """With normals turned to the viewpoint, or with signs that agree along surfaces, or the opposite ones."""
+        if signs not in self._clouds:
+            if signs == "surfaces":
+                self._clouds[signs] = orient_along_surfaces(self._clouds["viewpoint"], self._near)
+            else:
+                turned = self.cloud("surfaces")
+                self._clouds[signs] = replace(turned, normals=None if turned.normals is None else -turned.normals)
+        return self._clouds[signs]
+
+    def features(self, record: Descriptor, signs: str) -> Features:
+        """Of every point, by one descriptor."""
+        if (record, signs) not in self._features:
+            self._features[record, signs] = features_of(self.cloud(signs), self._near, [[record]])[0]
+        return self._features[record, signs]
+
+
+def _blocks_of(way: Way, blocks: Sequence[_Block]) -> list[_Block]:
+    """The descriptors of a way; none where it would be the same as another."""
+    geometry = [block for block in blocks if not block[0].needs_colors]
+    if not way.geometry:
+        return list(blocks)
+    return geometry if len(geometry) < len(blocks) else []
 
 
 def _wider(record: Descriptor, way: Way) -> Descriptor:
@@ -132,43 +170,24 @@ def _wider(record: Descriptor, way: Way) -> Descriptor:
     return replace(scaled(record, way.coarser * way.support), max_neighbors=neighbors)
 
 
-def _descriptors(records: Sequence[Descriptor], way: Way) -> list[int]:
-    """The numbers of the descriptors of a way; none where it would be the same as another."""
-    geometry = [number for number, record in enumerate(records) if not record.needs_colors]
-    if not way.geometry:
-        return list(range(len(records)))
-    return geometry if len(geometry) < len(records) else []
+def _origin(way: Way, blocks: Sequence[_Block], options: RegistrationOptions) -> str:
+    """The way in words, as ``Recipe.origin``."""
+    names = " + ".join(record.name for record, _ in blocks)
+    return f"{names}{way.words}, {_NEAREST} nearest, {options.solver.name}"
 
 
 def _proposed(
-    sides: Sequence[_Side], way: Way, chosen: Sequence[int], options: RegistrationOptions, seed: int
+    source: _Side, target: _Side, way: Way, blocks: Sequence[_Block], options: RegistrationOptions, seed: int
 ) -> ProposedPoses:
     """Describe, match and solve in one way."""
-    colored = all(side.cloud.colors is not None for side in sides)
-    kept = [
-        (record, weight)
-        for record, weight in zip(options.descriptors, options.weights, strict=True)
-        if (colored or not record.needs_colors) and not record.is_pairwise
-    ]
-    records, weights = zip(*(kept[number] for number in chosen), strict=True)
+    records, weights = zip(*blocks, strict=True)
+    signs = (way.signs if way.signs == "viewpoint" else "surfaces", way.signs)
     fused = []
-    for role, side in enumerate(sides):
-        cloud = _signed(side, way.signs, opposite=role == 1)
-        features = features_of(cloud, side.near, [[_wider(record, way) for record in records]])
+    for side, sign in zip((source, target), signs, strict=True):
+        features = [side.features(_wider(record, way), sign) for record in records]
         fused.append(fused_blocks(features, records, weights, options.root))
     matches = match_mutual(*fused, neighbors=_NEAREST)
     solver = options.solver.scaled(way.coarser).at_effort(options.effort)
-    poses = poses_of_pairs(sides[0].cloud, sides[1].cloud, matches, [solver], seed=seed)
-    rows = replace(matches, source=sides[0].rows[matches.source], target=sides[1].rows[matches.target])
-    names = " + ".join(record.name for record in records)
-    return ProposedPoses(f"{names}{way.words}, {_NEAREST} nearest, {solver.name}", rows, poses, way.coarser)
-
-
-def _signed(side: _Side, signs: str, *, opposite: bool) -> Clouds:
-    """The cloud with the signs of its normals that a way asks for."""
-    if signs == "viewpoint":
-        return side.cloud
-    cloud = orient_along_surfaces(side.cloud, side.near)
-    if signs == "opposite" and opposite and cloud.normals is not None:
-        return replace(cloud, normals=-cloud.normals)
-    return cloud
+    poses = poses_of_pairs(source.cloud(), target.cloud(), matches, [solver], seed=seed)
+    rows = replace(matches, source=source.rows[matches.source], target=target.rows[matches.target])
+    return ProposedPoses(_origin(way, blocks, options), rows, poses, way.coarser)

@@ -19,7 +19,7 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.solvers import PairPoses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features
-from torchreg.types.packing import offsets_of, spans
+from torchreg.types.packing import offsets_of
 from torchreg.verification import ProposedPoses
 
 _SAMPLE = {False: 3000, True: 1000}
@@ -79,7 +79,7 @@ def _nearest(features: tuple[Features, Features], b: int, sample: int) -> tuple[
     """Source rows, target rows and feature distances of the matches of pair ``b``, of so many points."""
     rows = []
     for side in features:
-        begin, end = spans(side.offsets)[b]
+        begin, end = side.offsets[b : b + 2].tolist()
         rows.append(begin + side.valid[begin:end].nonzero()[:, 0])
     queries = rows[0][:: max(1, -(-len(rows[0]) // sample))]
     if len(queries) == 0 or len(rows[1]) == 0:

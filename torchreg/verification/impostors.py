@@ -13,10 +13,9 @@ IMPOSTORS = ("mirrored", "scaled")
 def impostor(matches: MatchEndpoints, threshold: float, rigid: RigidFit) -> Failure | None:
     """Why no rigid pose of one pair can be right, by its matches; ``None`` where one may be.
 
-    ``threshold`` is that of an inlier, meters; ``rigid`` is what supports the best pose among these matches.
+    ``threshold`` is that within which these matches agree, meters; ``rigid`` is what supports the best pose among them.
     """
-    within = threshold * matches.coarser
-    finding = impossible_as_rigid(matches.source, matches.target, within, rigid)
+    finding = impossible_as_rigid(matches.source, matches.target, threshold, rigid)
     if finding is None:
         return None
     count, explained = len(matches.source), int(rigid.inliers.sum())

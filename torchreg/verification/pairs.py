@@ -72,7 +72,7 @@ class ProposedPoses(NamedTuple):
     def of_pair(self, b: int, source: Clouds, target: Clouds) -> ProposedPoses:
         """Those of pair ``b`` of the batches of clouds alone, its matches as rows of its own two clouds."""
         matches = self.matches
-        begin, end = spans(matches.offsets)[b]
+        begin, end = matches.offsets[b : b + 2].tolist()
         own = Correspondences(
             source=matches.source[begin:end] - int(source.offsets[b]),
             target=matches.target[begin:end] - int(target.offsets[b]),

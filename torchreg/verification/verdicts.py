@@ -14,6 +14,7 @@ from torchreg.neighborhoods.coverage import coverage
 from torchreg.solvers import PairPoses, hypothesis_counts
 from torchreg.types import Candidate, Clouds, Correspondences, Failure, RegistrationResult
 from torchreg.types.packing import offsets_of
+from torchreg.verification.agreement import MatchEndpoints
 from torchreg.verification.candidates import SLIDE, TURN, Candidates, Choice, Poses, runs_of
 from torchreg.verification.impostors import impostor
 from torchreg.verification.model import probabilities
@@ -156,11 +157,13 @@ def _verdict(
     R, t = weighed.poses.rotation[0], weighed.poses.translation[0]
     near = coverage(pair.source.points, pair.target.points, R, t, pair.lengths.threshold)
     proposal = int(weighed.proposal[0])
-    inliers = _inliers(pair, proposal, R, t)
+    inliers = _inliers(pair.matches[proposal], R, t, pair.lengths.threshold)
     impossible = None
     for number in dict.fromkeys((0, proposal)):  # the first has all matches of a set of features
-        rigid_fit = RigidFit(_inliers(pair, number, R, t), float(weighed.surprise[0]))
-        impossible = impossible or impostor(pair.matches[number], pair.lengths.threshold, rigid_fit)
+        matches = pair.matches[number]
+        within = pair.lengths.threshold * matches.coarser
+        rigid_fit = RigidFit(_inliers(matches, R, t, within), float(weighed.surprise[0]))
+        impossible = impossible or impostor(matches, within, rigid_fit)
     if impossible is not None:  # then no rigid pose is right
         described = tuple(each._replace(probability=0.0) for each in described)
     best, several = described[0], len(described) > 1
@@ -182,11 +185,10 @@ def _verdict(
     )
 
 
-def _inliers(pair: CenteredPair, number: int, R: Tensor, t: Tensor) -> Tensor:
-    """(M,) bool: which matches of one proposal a pose brings within the inlier threshold."""
-    matches = pair.matches[number]
+def _inliers(matches: MatchEndpoints, R: Tensor, t: Tensor, threshold: float) -> Tensor:
+    """(M,) bool: which matches a pose brings within the threshold, meters."""
     residual = apply_rotation(R, matches.source) + t - matches.target
-    return residual.square().sum(dim=1) < pair.lengths.threshold**2
+    return residual.square().sum(dim=1) < threshold**2
 
 
 def _with_origins(poses: Poses, pairs: Sequence[CenteredPair]) -> Tensor:
