@@ -20,46 +20,32 @@ from concurrent.futures import ProcessPoolExecutor
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from cases import Case, cases
 from common import DOCS, bench_parser, in_words, listed_pairs, machine, publish, save, table
 from torch import Tensor
+from verdict_model import (
+    CONTROLS,
+    RIDGE,
+    CaseCandidates,
+    CaseTerms,
+    Judged,
+    cross_validated,
+    fit,
+    fitted_to,
+    terms_of,
+)
 
 import torchreg as tr
 from torchreg import metrics
 from torchreg.verification.impostors import IMPOSTORS
-from torchreg.verification.model import TERMS, Evidence, combined, probabilities, save_terms, term_values
-from torchreg.verification.reasons import ACCEPTED, MARGIN, MARGIN_BY_SHAPE, accepted, least_margin
+from torchreg.verification.model import TERMS, Evidence, combined, save_terms
+from torchreg.verification.reasons import ACCEPTED, MARGIN, MARGIN_BY_SHAPE
 
-RIDGE = 3.0
 ROTATION_BOUND, TRANSLATION_VOXELS = 15.0, 6.0
 WORKERS = 2
-
-
-class CaseCandidates(NamedTuple):
-    """The candidates of one case: their evidence, the surprise of their matches (H,), and which are right (H,)."""
-
-    name: str
-    kind: str
-    scenes: tuple[str, ...]
-    evidence: Evidence
-    surprise: Tensor
-    right: Tensor
-    refusal: str  # the kind of failure, where no rigid pose can be right; else empty
-
-
-class CaseTerms(NamedTuple):
-    """The candidates of one case: their terms (H, D) and which of them are right (H,)."""
-
-    name: str
-    kind: str
-    scenes: tuple[str, ...]
-    terms: Tensor
-    right: Tensor
-    refusal: str
-    margin: float  # the least log-odds of a success over its runner-up
 
 
 def candidates_of(case: Case) -> CaseCandidates:
@@ -83,79 +69,10 @@ def candidates_of(case: Case) -> CaseCandidates:
     return CaseCandidates(case.name, case.kind, case.scenes, evidence, column("surprise"), right, refusal)
 
 
-def terms_of(case: CaseCandidates) -> CaseTerms:
-    terms = term_values(case.evidence, case.surprise)
-    margin = least_margin(case.evidence) if len(case.right) > 0 else MARGIN
-    return CaseTerms(case.name, case.kind, case.scenes, terms, case.right, case.refusal, margin)
-
-
 def share_of(part: int) -> list[CaseCandidates]:
     """Every ``WORKERS``-th case from ``part`` on."""
     torch.set_num_threads(1)
     return [candidates_of(case) for number, case in enumerate(cases()) if number % WORKERS == part]
-
-
-def fit(seen: list[CaseTerms]) -> Tensor:
-    """Weights (D,) by maximum likelihood, held to the prior by the ridge."""
-    prior = torch.tensor([term.prior for term in TERMS.values()], dtype=torch.float64)
-    most = max(len(case.terms) for case in seen)
-    numbers = torch.zeros(len(seen), most, len(prior), dtype=torch.float64)
-    legal, right = torch.zeros(2, len(seen), most, dtype=torch.bool)
-    for row, case in enumerate(seen):
-        numbers[row, : len(case.terms)], right[row, : len(case.terms)] = case.terms, case.right
-        legal[row, : len(case.terms)] = True
-    none = torch.zeros(len(seen), 1, dtype=torch.float64)
-    weights = prior.clone().requires_grad_()
-    optimizer = torch.optim.LBFGS([weights], max_iter=500, line_search_fn="strong_wolfe")
-
-    def loss() -> Tensor:
-        optimizer.zero_grad()
-        odds = torch.where(legal, combined(numbers, weights), -1e30)
-        every = torch.logsumexp(torch.cat([odds, none], dim=1), dim=1)
-        # a case without a right candidate is a case for none of them
-        truth = torch.where(right.any(dim=1), torch.logsumexp(torch.where(right, odds, -1e30), dim=1), none[:, 0])
-        value = (every - truth).sum() + RIDGE * (weights - prior)[1:].square().sum()
-        value.backward()
-        return value
-
-    optimizer.step(loss)
-    return weights.detach()
-
-
-class Judged(NamedTuple):
-    """One case under weights: the winner's probability, whether it is right, and whether it is called a success."""
-
-    name: str
-    kind: str
-    scenes: tuple[str, ...]
-    probability: float
-    right: bool
-    success: bool
-
-
-def judge(case: CaseTerms, weights: Tensor) -> Judged:
-    if len(case.terms) == 0:
-        return Judged(*case[:3], 0.0, False, False)
-    odds, order = combined(case.terms, weights).sort(descending=True)
-    probability = 0.0 if case.refusal else float(probabilities(odds)[0])
-    return Judged(*case[:3], probability, bool(case.right[order[0]]), accepted(probability, odds, case.margin))
-
-
-def fitted_to(case: CaseTerms) -> bool:
-    """Whether weights are fitted to a case: not to places that equal themselves, nor to impostors.
-
-    There, what looks right is right in all that the terms can see; ``LOOK_ALIKE`` and the margins are for them.
-    """
-    return case.kind != "made" or case.scenes[0] in MADE_TO_FIT
-
-
-def cross_validated(seen: list[CaseTerms]) -> list[Judged]:
-    """Every case judged by weights that know none of its scenes."""
-    judged = []
-    for scenes in dict.fromkeys(case.scenes for case in seen):
-        weights = fit([case for case in seen if fitted_to(case) and not set(case.scenes) & set(scenes)])
-        judged += [judge(case, weights) for case in seen if case.scenes == scenes]
-    return judged
 
 
 def summary(judged: list[Judged], belongs: Callable[[Judged], bool]) -> dict[str, Any]:
@@ -171,8 +88,6 @@ def summary(judged: list[Judged], belongs: Callable[[Judged], bool]) -> dict[str
 
 
 FIRST_SCENES = {pair["scene"] for pair in listed_pairs()}
-CONTROLS = ("asymmetric_colors_two_stations", "easy_room", "object_far_viewpoint_guess")
-MADE_TO_FIT = (*CONTROLS, "other_rooms", "facade_ends")
 
 
 def of_kind(kind: str) -> Callable[[Judged], bool]:
