@@ -1,5 +1,8 @@
 """Probes are rigid, and as far away as they say."""
 
+import math
+
+import pytest
 import torch
 from closeness import assert_rigid
 from problems import random_transform
@@ -13,6 +16,7 @@ G = torch.Generator().manual_seed(0)
 POINTS = torch.rand(500, 3, generator=G) * torch.tensor([6.0, 4.0, 3.0])
 NORMALS = torch.nn.functional.normalize(torch.randn(500, 3, generator=G), dim=1)
 VALID = (torch.arange(512) < 500)[None]
+NONE = torch.zeros(1, dtype=torch.float64)
 
 
 def filled_up(values):
@@ -66,8 +70,20 @@ def test_turns_of_a_slim_body_about_its_axis_are_distinct():
     quarter = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
     eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(2, dtype=torch.int64)
     poses = Poses(torch.stack([eye, quarter]), torch.zeros(2, 3, dtype=torch.float64), zero, zero)
-    kept = distinct(poses.vectors(frames(moments_of(rod))), zero, torch.tensor([0.06], dtype=torch.float64))
+    kept = distinct(poses.vectors(frames(moments_of(rod), NONE)), zero, torch.tensor([0.06], dtype=torch.float64))
     assert kept == [0, 1]  # though the points move by 0.02
+
+
+@pytest.mark.parametrize(("degrees", "kept"), [(30, [0]), (60, [0, 1]), (180, [0, 1])])
+def test_turns_of_a_body_of_few_points_are_distinct(degrees, kept):
+    """A ball as wide as a few thresholds, by which poses are to be 6 apart: no turn moves its points so far."""
+    ball = torch.randn(400, 3, generator=torch.Generator().manual_seed(5)) * 0.2
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    turn = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(2, dtype=torch.int64)
+    poses = Poses(torch.stack([eye, turn]), torch.zeros(2, 3, dtype=torch.float64), zero, zero)
+    threshold = torch.tensor([0.1], dtype=torch.float64)
+    assert distinct(poses.vectors(frames(moments_of(ball), threshold)), zero, 6 * threshold) == kept
 
 
 def test_distinct_poses_keep_the_first_of_those_that_are_close():
@@ -75,7 +91,7 @@ def test_distinct_poses_keep_the_first_of_those_that_are_close():
     shifts = torch.tensor([0.0, 0.05, 1.0, 1.02, 0.01], dtype=torch.float64)
     many = pose.take(torch.zeros(5, dtype=torch.int64))
     many = many._replace(translation=many.translation + shifts[:, None] * torch.tensor([1.0, 0.0, 0.0]).double())
-    vectors = many.vectors(frames(moments_of(POINTS)))
+    vectors = many.vectors(frames(moments_of(POINTS), NONE))
     assert distinct(vectors, many.pair, torch.tensor([0.2], dtype=torch.float64)) == [0, 2]
 
 
@@ -85,12 +101,12 @@ def test_pairs_do_not_see_each_others_poses():
     pair = torch.tensor([0, 0, 0, 2, 2, 2])
     many = pose.take(torch.zeros(6, dtype=torch.int64))._replace(pair=pair)
     many = many._replace(translation=many.translation + shifts[:, None] * torch.tensor([1.0, 0.0, 0.0]).double())
-    span = frames(moments_of(POINTS)).expand(3, 4, 3)
+    span = frames(moments_of(POINTS), NONE).expand(3, 4, 3)
     assert distinct(many.vectors(span), pair, torch.tensor([0.2, 9.0, 0.01], dtype=torch.float64)) == [0, 1, 3, 4, 5]
 
 
 def test_vectors_are_those_of_the_solvers():
     pose = one_pose()
     theirs = pose_vectors(pose.rotation.permute(1, 2, 0), pose.translation.t(), POINTS.double().t())
-    span = frames(moments_of(POINTS))
+    span = frames(moments_of(POINTS), NONE)
     assert torch.allclose(pose.vectors(span).square(), theirs.square(), atol=1e-9)

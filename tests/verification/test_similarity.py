@@ -131,7 +131,7 @@ def test_a_rigid_pose_that_explains_nearly_as_much_is_kept():
     problem = correspondence_problem(1000, 0.4)
     source, target = endpoints(problem)
     right = problem.is_inlier.nonzero()[:, 0]
-    for count, kind in ((250, Scaled), (450, type(None))):
+    for count, kind in ((250, Scaled), (450, Scaled), (520, type(None))):
         rigid = RigidFit(torch.zeros(1000, dtype=torch.bool).index_fill(0, right[:count], True), 50.0)
         assert isinstance(impossible_as_rigid(source, 1.2 * target, THRESHOLD, rigid), kind)
 
@@ -143,6 +143,17 @@ def test_a_rigid_pose_with_matches_of_its_own_is_kept(lost, kind):
     wrong = (~problem.is_inlier).nonzero()[:, 0]
     rigid = RigidFit(torch.zeros(1000, dtype=torch.bool).index_fill(0, wrong[:lost], True), 50.0)
     assert isinstance(impossible_as_rigid(source * FLIP, target, THRESHOLD, rigid), kind)
+
+
+@pytest.mark.parametrize(("facing", "kind"), [(-0.9, Mirrored), (0.9, type(None)), (float("nan"), type(None))])
+def test_less_speaks_for_a_reflection_where_the_rigid_pose_puts_surfaces_back_to_back(facing, kind):
+    """As of a table top: the rigid pose turns it over and holds all but the 8 % of the matches that stand out of it."""
+    problem = correspondence_problem(1000, 0.1)
+    source, target = endpoints(problem)
+    inliers = problem.is_inlier.clone()
+    inliers[problem.is_inlier.nonzero()[:80, 0]] = False
+    found = impossible_as_rigid(source * FLIP, target, THRESHOLD, RigidFit(inliers, 100.0, facing))
+    assert isinstance(found, kind)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 5])

@@ -2,7 +2,8 @@
 
 Where a scene equals itself after a turn, the better copy takes all mutual matches, and no solver proposes the other. So
 an even choice of source points is matched once more, each to its three nearest in feature space and without asking the
-targets; matches that the first pose explains are dropped, and the rest is solved. What a second consensus proposes then
+targets; matches that the first pose explains are dropped, and the rest is solved. Without colors, by which most copies
+differ, what is left also votes for the first pose after a turn (``turned``). What a second consensus proposes then
 competes with the first: in a symmetric room both fit, and the verdict says so.
 """
 
@@ -16,6 +17,7 @@ from torch import Tensor
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.matching.nearest import feature_nearest
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.turned import turned
 from torchreg.solvers import PairPoses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features
@@ -52,27 +54,51 @@ def rivals(
         seed: of every random draw, as the solvers take it.
     """
     colored = source.colors is not None and target.colors is not None
-    parts = []
+    parts, by_turns = [], []
     for b, option in enumerate(options):
         i, j, score = _nearest(features, b, _SAMPLE[colored])
+        p, q = source.points[i].double(), target.points[j].double()
         if len(first.poses[b].support) > 0:
-            p, q = source.points[i].double(), target.points[j].double()
             moved = apply_rotation(first.poses[b].rotation[0], p) + first.poses[b].translation[0]
             far = (moved - q).square().sum(dim=1) > (_EXPLAINED * option.inlier_threshold) ** 2
-            i, j, score = i[far], j[far], score[far]
+            i, j, score, p, q = (column[far] for column in (i, j, score, p, q))
         nearest = score.sort(stable=True).indices[: _MOST[colored]].sort().values
         parts.append((i[nearest], j[nearest], score[nearest]))
+        by_turns.append(None if colored else _turned(first.poses[b], target, b, p, q, nearest, option))
     i, j, score = (torch.cat(column) for column in zip(*parts, strict=True))
     matches = Correspondences(source=i, target=j, offsets=offsets_of(len(part[0]) for part in parts), score=score)
     solvers = [option.solver.at_effort(option.effort) for option in options]
-    poses = [_best(each) for each in poses_of_pairs(source, target, matches, solvers, seed=seed)]
+    solved = poses_of_pairs(source, target, matches, solvers, seed=seed)
+    poses = [_best(*both) for both in zip(solved, by_turns, strict=True)]
     return ProposedPoses(f"{first.origin}, what its best pose leaves", matches, poses)
 
 
-def _best(poses: PairPoses) -> PairPoses:
-    """The first few of the poses of one pair."""
-    columns = ("rotation", "translation", "inliers", "support", "error")
-    return poses._replace(**{name: getattr(poses, name)[:_POSES] for name in columns})
+def _turned(
+    first: PairPoses,
+    target: Clouds,
+    b: int,
+    p: Tensor,
+    q: Tensor,
+    rows: Tensor,
+    option: RegistrationOptions,
+) -> PairPoses | None:
+    """The best pose of pair ``b`` after turns, by votes of all matches p, q (M, 3); inliers are those of ``rows``."""
+    begin, end = target.offsets[b : b + 2].tolist()
+    if target.normals is None or len(first.support) == 0 or len(p) == 0:
+        return None
+    poses = turned(first.rotation[0], target.normals[begin:end], p, q, option.inlier_threshold)
+    return poses._replace(inliers=poses.inliers[:, rows])
+
+
+def _best(solved: PairPoses, by_turns: PairPoses | None) -> PairPoses:
+    """The first few poses of one pair that were solved, and of those found by turns."""
+    parts = [solved] if by_turns is None else [solved, by_turns]
+    rotation, translation, inliers, support, error = (
+        torch.cat([column[:_POSES] for column in columns])
+        for columns in zip(*(part[:5] for part in parts), strict=True)
+    )
+    failure = solved.failure if len(support) == 0 else None
+    return PairPoses(rotation, translation, inliers, support, error, solved.drawn, solved.kept, solved.scored, failure)
 
 
 def _nearest(features: tuple[Features, Features], b: int, sample: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -32,6 +32,9 @@ _QUARTERS = (1, 2, 3)
 _THICK = 0.5
 """A body counts as thick as this share of its length at least, so that turns of a slim one tell poses apart."""
 
+_WIDE = 5.6
+"""And as this many inlier thresholds: a turn by 45 degrees then tells poses apart, however few points the body has."""
+
 Record = TypeVar("Record", bound=Any)
 
 
@@ -158,14 +161,16 @@ def point_moments(points: Tensor, valid: Tensor, counts: Tensor) -> PointMoments
     return PointMoments(mean.t(), products.permute(2, 0, 1), count)
 
 
-def frames(moments: PointMoments) -> Tensor:
+def frames(moments: PointMoments, threshold: Tensor) -> Tensor:
     """(G, 4, 3): the columns of a root of each covariance, then the mean, as ``Poses.vectors`` takes them.
 
-    A slim body, whose points a turn about its axis hardly moves, counts as thicker than it is.
+    A body whose points a turn about its axis hardly moves, since it is slim or small beside the inlier thresholds (G,),
+    counts as thicker than it is.
     """
     values, vectors = torch.linalg.eigh(moments.products / moments.counts[:, None, None])
     deviations = values.clamp(min=0).sqrt()  # (G, 3), ascending
-    root = vectors * torch.maximum(deviations, _THICK * deviations[:, 2:])[:, None]
+    least = torch.maximum(_THICK * deviations[:, 2:], _WIDE * threshold[:, None])
+    root = vectors * torch.maximum(deviations, least)[:, None]
     return torch.cat([root.transpose(1, 2), moments.mean[:, None]], dim=1)
 
 
@@ -180,7 +185,13 @@ def slides(pose: Poses, weakest: WeakestMotion, threshold: Tensor) -> Poses:
 def turns(pose: Poses, target: PointMoments) -> Poses:
     """One pose of each of G pairs after quarter and half turns about the principal axes of the target: 9 each."""
     _, axes = torch.linalg.eigh(target.products)  # columns
-    axis = axes.transpose(1, 2)[:, :, None]  # (G, 3, 1, 3): axis by axis
+    turn = quarter_turns(axes.transpose(1, 2))
+    return _probes(pose, TURN, turn, target.mean, torch.zeros_like(turn[..., 0]))
+
+
+def quarter_turns(axes: Tensor) -> Tensor:
+    """The rotations (..., 9, 3, 3) by one, two and three right angles about three axes each, unit rows (..., 3, 3)."""
+    axis = axes[..., None, :]  # (..., 3, 1, 3): axis by axis
     eye = torch.eye(3, dtype=axis.dtype, device=axis.device)
     zero = torch.zeros_like(axis[..., 0])
     x, y, z = axis.unbind(-1)
@@ -188,8 +199,7 @@ def turns(pose: Poses, target: PointMoments) -> Poses:
     square = axis[..., :, None] * axis[..., None, :] - eye  # of cross
     sine, cosine = ((0.0, 1.0, 0.0, -1.0), (1.0, 0.0, -1.0, 0.0))
     turned = [eye + sine[quarter] * cross + (1 - cosine[quarter]) * square for quarter in _QUARTERS]
-    turn = torch.cat(turned, dim=2).flatten(1, 2)  # (G, 9, 3, 3)
-    return _probes(pose, TURN, turn, target.mean, torch.zeros_like(turn[..., 0]))
+    return torch.cat(turned, dim=-3).flatten(-4, -3)
 
 
 def _probes(pose: Poses, kind: int, turn: Tensor, center: Tensor, shift: Tensor) -> Poses:

@@ -41,7 +41,7 @@ WORK = {
 
 
 WORK_AGAIN = {
-    "balanced": WorkPerPair(poses=8, sample=1000, refined=12, iterations=12),
+    "balanced": WorkPerPair(poses=8, sample=2000, refined=12, iterations=12),
     "thorough": WorkPerPair(poses=16, sample=1500, refined=20, iterations=20),
 }
 """Work by effort at a second look, which has many more poses to choose from."""

@@ -26,13 +26,14 @@ from torchreg.types import Clouds, Correspondences
 from torchreg.verification.agreement import MatchEndpoints, agreement, match_cells
 from torchreg.verification.length_ratios import LengthRatios, length_ratios
 
-_CLEARLY = 1.5  # times the support of the best rigid pose that a similarity needs
+_CLEARLY = 1.2  # times the support of the best rigid pose that a similarity needs
 _LOST = 4.0  # matches gained for one that only the rigid pose brings together
 _GAINED = 0.1  # of the matches
+_GAINED_TURNED = 0.05  # of the matches, where the best rigid pose puts surfaces back to back
 _MIRRORED = 0.15  # of the matches that a reflection needs; facades whose rigid pose is right have up to 0.1
 _PROMISING = 0.9  # of a support that would do: lengths imply somewhat less than there is
 _MIRRORED_SURPRISE = 30.0  # powers of ten above that of the best rigid pose; facades that are right have up to 22
-_SCALED_SURPRISE = 15.0  # likewise; up to 8
+_SCALED_SURPRISE = 25.0  # likewise; up to 8
 _SURE = 300.0  # powers of ten that suffice in any case: figures end at 400
 _FACTOR = 0.01  # a factor nearer to 1 is within what scanners and photogrammetry leave
 _DEVIATIONS = 3.0
@@ -47,6 +48,16 @@ class RigidFit(NamedTuple):
 
     inliers: Tensor  # (M,) bool, matches within the threshold
     surprise: float  # powers of ten, as of ``Agreement``
+    facing: float = 1.0  # mean cosine of the normals of partners, as of ``Evidence``
+
+    @property
+    def gained(self) -> float:
+        """The share of the matches that a reflection or a similarity has to gain over this pose.
+
+        A flat scene equals its mirror image but for what stands out of it. A rigid pose then turns it over, and
+        surfaces that scanners saw from one side come to lie back to back: so less has to speak for the reflection.
+        """
+        return _GAINED_TURNED if self.facing < 0 else _GAINED
 
 
 class Mirrored(NamedTuple):
@@ -77,7 +88,7 @@ def impossible_as_rigid(source: Tensor, target: Tensor, threshold: float, rigid:
         seen from its two sides with little in common, looks like a mirrored one.
     """
     count = len(source)
-    if count < 2 or count - int(rigid.inliers.sum()) < _GAINED * count:  # too few are left to be gained
+    if count < 2 or count - int(rigid.inliers.sum()) < rigid.gained * count:  # too few are left to be gained
         return None
     ratios = length_ratios(source, target, threshold)
     return mirrored(source, target, threshold, rigid, ratios) or scaled(source, target, threshold, rigid, ratios)
@@ -88,7 +99,7 @@ def mirrored(
 ) -> Mirrored | None:
     """Whether a reflection explains the matches; arguments as of ``impossible_as_rigid``, and their length ratios."""
     count = len(source)
-    needed = max(int(rigid.inliers.sum()) + _GAINED * count, _MIRRORED * count)
+    needed = max(int(rigid.inliers.sum()) + rigid.gained * count, _MIRRORED * count)
     if ratios.support_at_one < _PROMISING * needed:
         return None
     through = source * torch.tensor([-1.0, 1.0, 1.0], dtype=source.dtype, device=source.device)
@@ -104,7 +115,7 @@ def mirrored(
 def scaled(source: Tensor, target: Tensor, threshold: float, rigid: RigidFit, ratios: LengthRatios) -> Scaled | None:
     """Whether a similarity explains the matches; arguments as of ``mirrored``."""
     count, explained = len(source), int(rigid.inliers.sum())
-    if ratios.factor == 1 or ratios.support < max(explained, _PROMISING * _GAINED * count):
+    if ratios.factor == 1 or ratios.support < _PROMISING * max(explained, _GAINED * count):
         return None
     pose = _best_pose(source * ratios.factor, target, threshold)
     if pose is None:
@@ -138,7 +149,7 @@ def _explains_more(
     """
     inliers = _inliers(source, target, threshold, fit)
     gained, lost = int((inliers & ~rigid.inliers).sum()), int((rigid.inliers & ~inliers).sum())
-    if gained < max(_GAINED * len(source), _LOST * lost):
+    if gained < max(rigid.gained * len(source), _LOST * lost):
         return False
     cells = match_cells(MatchEndpoints(source * fit.factor, target), threshold)
     surprise = float(agreement(cells, fit.rotation[None], fit.translation[None]).surprise[0])

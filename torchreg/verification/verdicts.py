@@ -162,7 +162,8 @@ def _verdict(
     for number in dict.fromkeys((0, proposal)):  # the first has all matches of a set of features
         matches = pair.matches[number]
         within = pair.lengths.threshold * matches.coarser
-        rigid_fit = RigidFit(_inliers(matches, R, t, within), float(weighed.surprise[0]))
+        facing = float(weighed.evidence.normals[0])  # NaN without normals
+        rigid_fit = RigidFit(_inliers(matches, R, t, within), float(weighed.surprise[0]), facing)
         impossible = impossible or impostor(matches, within, rigid_fit)
     if impossible is not None:  # then no rigid pose is right
         described = tuple(each._replace(probability=0.0) for each in described)

@@ -114,7 +114,7 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
         shared = overlap(source, target, best.poses.rotation, best.poses.translation, pairs.threshold)
         return best, shared, weakest_motions(*shared)
 
-    span = frames(point_moments(source.points, source.valid, source.counts))
+    span = frames(point_moments(source.points, source.valid, source.counts), pairs.threshold)
     middle = point_moments(target.points, target.valid, target.counts)
     icp = _Icp(pairs, work.iterations)
     candidates = _distinct(pairs, span, weigh(pairs, poses))
