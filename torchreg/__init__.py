@@ -27,6 +27,7 @@ from torchreg.geometry.se3 import transform
 from torchreg.io import (
     from_open3d,
     read_cloud,
+    read_scans,
     to_open3d,
     write_cloud,
 )
@@ -108,6 +109,7 @@ __all__ = [
     "random_downsample",
     "ransac",
     "read_cloud",
+    "read_scans",
     "reference",
     "register",
     "soft_equalize",

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchreg.errors import CloudFileError
-from torchreg.io import CLOUD_SUFFIXES, read_cloud, read_cloud_report, write_cloud
+from torchreg.io import CLOUD_SUFFIXES, read_cloud, read_cloud_report, read_scans, write_cloud
 from torchreg.io import formats as formats_module
 from torchreg.io.assemble import RawCloud
 from torchreg.io.formats import FORMATS, READERS, WRITERS, CloudFormat, alternatives, formats_in_words
@@ -44,17 +44,24 @@ def test_a_row_more_is_a_format_more(numbers, tmp_path, name):
     assert torch.equal(report.cloud.points, cloud.points)
     assert (report.format, report.points_in_file, report.has_colors) == ("numbers", 5, False)
     assert ".num or .numbers (numbers as text)" in formats_in_words()
-    (tmp_path / "a.las").write_text("LASF")
-    with pytest.raises(CloudFileError, match=r"ends in .*\.num, \.numbers, got '\.las'"):
-        read_cloud(tmp_path / "a.las")
+    (tmp_path / "a.cloud").write_text("cloud")
+    with pytest.raises(CloudFileError, match=r"ends in .*\.num, \.numbers, got '\.cloud'"):
+        read_cloud(tmp_path / "a.cloud")
     with pytest.raises(ValueError, match=r"ends in .* or \.numbers, got "):
-        write_cloud(tmp_path / "a.las", cloud)
+        write_cloud(tmp_path / "a.cloud", cloud)
 
 
 def test_a_file_of_several_scans_is_no_cloud(numbers, tmp_path):
     (tmp_path / "a.num").write_text("1 2 3\n4 5 6\n\n7 8 9\n")
-    with pytest.raises(CloudFileError, match=r"a\.num: expected a file of one scan, got one of several"):
+    with pytest.raises(CloudFileError, match=r"a\.num: expected one scan, or scan= .*, got a file of 2 scans \(0, 1\)"):
         read_cloud(tmp_path / "a.num")
+    assert read_cloud(tmp_path / "a.num", scan=1).points.tolist() == [[7, 8, 9]]
+    assert [len(file.cloud.points) for file in read_scans(tmp_path / "a.num")] == [2, 1]
+    for scan in (2, "2", "hall", -1):
+        with pytest.raises(CloudFileError, match=r"expected a scan .*, got a file of 2 scans"):
+            read_cloud(tmp_path / "a.num", scan=scan)
+    with pytest.raises(ValueError, match="scan: expected the number"):
+        read_cloud(tmp_path / "a.num", scan=1.5)
 
 
 @pytest.mark.parametrize("row", FORMATS, ids=lambda row: row.suffixes[0])

@@ -1,10 +1,11 @@
 """Clouds and results in and out: files, and Open3D's types."""
 
 from torchreg.io.assemble import CloudFile
-from torchreg.io.cloud_file import read_cloud, read_cloud_report, write_cloud
+from torchreg.io.cloud_file import read_cloud, read_cloud_report, read_scans, write_cloud
 from torchreg.io.formats import CLOUD_SUFFIXES
 from torchreg.io.open3d_clouds import from_open3d, to_open3d
 from torchreg.io.pairs_file import PairRow, read_pairs_file
+from torchreg.io.reading import Reading
 from torchreg.io.result_json import result_to_dict, write_result_json
 from torchreg.io.transform_text import read_transform_text, write_transform_text
 
@@ -12,10 +13,12 @@ __all__ = [
     "CLOUD_SUFFIXES",
     "CloudFile",
     "PairRow",
+    "Reading",
     "from_open3d",
     "read_cloud",
     "read_cloud_report",
     "read_pairs_file",
+    "read_scans",
     "read_transform_text",
     "result_to_dict",
     "to_open3d",

@@ -32,6 +32,14 @@ class RawCloud:
         origin: (3,) float64.
         scanner: what the file says of its position (``scanner_of_file``); ``None`` where it says nothing.
         notes: what a user should know.
+        color_depth: of colors that are in [0, 1] already, what they were; ``None`` where they are as in the file.
+        intensity: (N,) of the returns, as in the file, or ``None``.
+        scan: name of the scan in its file, or ``None``.
+        pose: (4, 4) ``T_file_scan``, already applied to the points, where the file has one.
+        unit: of the coordinates, where the file says it: a key of ``units.METERS``.
+        rows_in_file: where rows were dropped or averaged on the way; ``None`` where these are all.
+        dropped: rows without a finite position among them.
+        voxel: meters, edge of the cubes in which points were averaged, or ``None``.
     """
 
     name: str
@@ -42,6 +50,14 @@ class RawCloud:
     origin: NDArray[Any] = field(default_factory=lambda: np.zeros(3))
     scanner: Scanner | None = None
     notes: tuple[str, ...] = ()
+    color_depth: str | None = None
+    intensity: NDArray[Any] | None = None
+    scan: str | None = None
+    pose: NDArray[Any] | None = None
+    unit: str | None = None
+    rows_in_file: int | None = None
+    dropped: int = 0
+    voxel: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +74,12 @@ class CloudFile:
         viewpoint_source: where the scanner's position is known from, in words, or that it is assumed.
         extent: edges of the bounding box along x, y, z, in meters.
         notes: what a user should know, such as colors that had to be guessed at.
+        intensity: (N,) of the returns, in the file's own scale and the dtype of the points, or ``None``.
+        scan: name of the scan in its file, or ``None``.
+        pose: (4, 4) float64 ``T_file_scan`` in meters, which the points already have applied, or ``None``: a
+            scanner's own frame in the frame of the file.
+        unit: of the coordinates, where the file says it, such as "m" or "us-ft".
+        voxel: meters, edge of the cubes in which points were averaged while they were read, or ``None``.
     """
 
     cloud: Clouds
@@ -69,6 +91,11 @@ class CloudFile:
     viewpoint_source: str
     extent: tuple[float, float, float]
     notes: tuple[str, ...]
+    intensity: Tensor | None = None
+    scan: str | None = None
+    pose: Tensor | None = None
+    unit: str | None = None
+    voxel: float | None = None
 
     @property
     def has_colors(self) -> bool:
@@ -100,7 +127,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         raise ValueError(f"{raw.name}: expected coordinates up to {FARTHEST_COORDINATE:g} m, got {largest:g}")
     shift = choose_origin(points)
     scanner = place_scanner(viewpoint, raw.scanner, points, raw.origin)
-    scaled = ScaledColors(None, "", ()) if raw.colors is None else scale_colors(raw.colors[finite], raw.name)
+    scaled = _scaled_colors(raw, finite)
     normals, normal_notes = _unit_normals(None if raw.normals is None else raw.normals[finite])
     position = None if scanner.position is None else (scanner.position - shift)[None]  # (1, 3)
     cloud = Clouds(
@@ -116,12 +143,17 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         cloud=cloud,
         path=raw.name,
         format=raw.format,
-        points_in_file=len(finite),
-        dropped_non_finite=len(finite) - len(points),
+        points_in_file=len(finite) if raw.rows_in_file is None else raw.rows_in_file,
+        dropped_non_finite=len(finite) - len(points) + raw.dropped,
         color_depth=None if scaled.values is None else scaled.depth,
         viewpoint_source=scanner.source,
         extent=(x, y, z),
         notes=(*raw.notes, *scaled.notes, *normal_notes),
+        intensity=_tensor(None if raw.intensity is None else raw.intensity[finite], dtype),
+        scan=raw.scan,
+        pose=_tensor(raw.pose, torch.float64),
+        unit=raw.unit,
+        voxel=raw.voxel,
     )
 
 
@@ -137,6 +169,13 @@ class ScaledColors(NamedTuple):
     values: NDArray[Any] | None  # (N, 3) float64, or ``None`` where not one color is a number
     depth: str  # "uint8", "uint16" or "float"
     notes: tuple[str, ...]  # what a user should know
+
+
+def _scaled_colors(raw: RawCloud, finite: NDArray[Any]) -> ScaledColors:
+    if raw.colors is None:
+        return ScaledColors(None, "", ())
+    colors = raw.colors[finite]
+    return ScaledColors(colors, raw.color_depth, ()) if raw.color_depth else scale_colors(colors, raw.name)
 
 
 def scale_colors(colors: NDArray[Any], name: str) -> ScaledColors:

@@ -3,51 +3,67 @@
 from __future__ import annotations
 
 import os
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.errors import CloudFileError, expect
+from torchreg.errors import expect
 from torchreg.geometry.se3 import transform
-from torchreg.io.assemble import CloudFile, assemble, checked_dtype
+from torchreg.io.assemble import CloudFile
 from torchreg.io.atomic import atomic_write
-from torchreg.io.checks import readable_file, refuse, require
-from torchreg.io.formats import READERS, WRITERS, alternatives
-from torchreg.io.placement import Viewpoint, checked_viewpoint
+from torchreg.io.formats import WRITERS, alternatives
+from torchreg.io.placement import Viewpoint
+from torchreg.io.reading import Reading, checked_scan, chosen_scan, finished, scans_of, with_points
+from torchreg.io.stream import Progress
 from torchreg.io.transform_text import checked_rigid
 from torchreg.types import Clouds
 
 
 def read_cloud(
-    path: str | os.PathLike[str], *, viewpoint: Viewpoint = "auto", dtype: torch.dtype = torch.float32
+    path: str | os.PathLike[str],
+    *,
+    scan: int | str | None = None,
+    viewpoint: Viewpoint = "auto",
+    dtype: torch.dtype = torch.float32,
+    columns: str | None = None,
+    units: str | None = None,
+    voxel: float | None = None,
+    intensity: bool = False,
 ) -> Clouds:
-    """Read a colored point cloud from a file, such as PLY, PCD or npz.
+    """Read a point cloud, colored or not, from a file: PLY, PCD, E57, LAS, LAZ, PTX, PTS, text, npz.
 
     Coordinates are read in float64. Where the median point lies more than 1 km from the frame's zero (UTM
     and other national grids), it is rounded to meters and kept as ``origin``; ordinary scans keep origin 0.
     Points with NaN or infinity are dropped. Colors become [0, 1] whatever their depth, normals unit length.
+    A scan with a pose (E57, PTX) has it applied: its points are in the frame of the file.
 
     Args:
-        path: a file ``.ply`` (text, little or big endian), ``.pcd`` (text, binary, compressed) or ``.npz``
-            (arrays points, and where there are any colors, normals, origin, viewpoint).
+        path: a file whose name ends in one of ``CLOUD_SUFFIXES``.
+        scan: which scan of a file with several: its number, counted from 0, or its name.
         viewpoint: where the scanner stood. "auto" takes the file's own (VIEWPOINT of PCD where it is not
-            zero, the key of npz, the comment that ``write_cloud`` leaves in PLY). Where the file says nothing, it
-            assumes the frame's zero, unless the points are more than ten times their extent away from it: this
-            guess is marked by ``viewpoint_assumed`` and is no evidence for or against a pose. "origin" is the
-            frame's zero, known; ``None`` means that nothing is known; three numbers are a known position in the
-            file's frame, in meters.
+            zero, the key of npz, the comment that ``write_cloud`` leaves in PLY, the translation of a pose of E57 or
+            PTX). Where the file says nothing, it assumes the frame's zero, unless the points are more than ten times
+            their extent away from it: this guess is marked by ``viewpoint_assumed`` and is no evidence for or against
+            a pose. "origin" is the frame's zero, known; ``None`` means that nothing is known; three numbers are a
+            known position in the file's frame, in meters.
         dtype: of the result, float32 or float64.
+        columns: of a text file, such as "x y z intensity red green blue"; ``None`` takes its header, or what the
+            numbers look like, which a note says.
+        units: "m", "cm", "mm", "in", "ft" or "us-ft" of the file, or "file" for the unit that it names itself.
+            ``None`` keeps its numbers as meters, and a note says where the file names another unit.
+        voxel: meters; points are averaged in cubes of this edge while they are read, so that memory is for what is
+            kept. ``None`` keeps all points.
+        intensity: whether intensity becomes gray colors where there are no colors.
 
     Returns:
         A batch of one cloud on the CPU; its viewpoint is relative to its origin, and known or assumed as above.
 
     Raises:
-        CloudFileError: the file is missing, of another kind, cut short, contradicts itself, or holds colors
-            or coordinates that cannot be meant.
-        ValueError: ``viewpoint`` or ``dtype`` is none of these.
+        CloudFileError: the file is missing, of another kind, cut short, contradicts itself, holds colors
+            or coordinates that cannot be meant, or several scans of which none is chosen.
+        ValueError: an option is none of these.
 
     Example:
         >>> import tempfile, torchreg.io
@@ -56,25 +72,72 @@ def read_cloud(
         ...     read_cloud(f"{folder}/a.ply").lengths
         [5]
     """
-    return read_cloud_report(path, viewpoint=viewpoint, dtype=dtype).cloud
+    reading = Reading(viewpoint=viewpoint, dtype=dtype, columns=columns, units=units, voxel=voxel, intensity=intensity)
+    return read_cloud_report(path, scan=scan, reading=reading).cloud
 
 
 def read_cloud_report(
-    path: str | os.PathLike[str], *, viewpoint: Viewpoint = "auto", dtype: torch.dtype = torch.float32
+    path: str | os.PathLike[str],
+    *,
+    scan: int | str | None = None,
+    viewpoint: Viewpoint = "auto",
+    dtype: torch.dtype = torch.float32,
+    reading: Reading | None = None,
+    progress: Progress | None = None,
 ) -> CloudFile:
-    """Read a cloud as ``read_cloud`` does, and report what the file holds; arguments and errors are the same."""
-    wanted, dtype = checked_viewpoint(viewpoint), checked_dtype(dtype)
-    file = readable_file(path)
-    reader = READERS.get(file.suffix.lower())
-    if reader is None:
-        refuse(file, "a name that ends in " + ", ".join(READERS), repr(file.suffix))
-    with np.errstate(invalid="ignore"):  # a signaling NaN warns when it is cast
-        scans = list(islice(reader(file), 2))
-    require(len(scans) == 1, file, "a file of one scan", "one of several" if scans else "one without any")
-    try:
-        return assemble(scans[0], wanted, dtype)
-    except ValueError as error:
-        raise CloudFileError(str(error)) from None
+    """Read a cloud as ``read_cloud`` does, and report what the file holds; errors are the same.
+
+    Args:
+        path: as for ``read_cloud``, and so are ``scan``, ``viewpoint`` and ``dtype``.
+        scan: likewise.
+        viewpoint: likewise.
+        dtype: likewise.
+        reading: all options at once, in place of ``viewpoint`` and ``dtype``.
+        progress: is called with the rows read so far and the rows of the scan (``None`` where the file does not say).
+    """
+    reading = Reading(viewpoint=viewpoint, dtype=dtype) if reading is None else reading
+    scan = checked_scan(scan)
+    chosen = chosen_scan(Path(path), scans_of(path, reading.columns), scan)
+    return finished(Path(path), chosen, reading, progress)
+
+
+def read_scans(
+    path: str | os.PathLike[str],
+    *,
+    viewpoint: Viewpoint = "auto",
+    dtype: torch.dtype = torch.float32,
+    reading: Reading | None = None,
+    progress: Progress | None = None,
+) -> list[CloudFile]:
+    """Read every scan of a file with several, such as E57 or PTX; other files have one.
+
+    Args:
+        path: as for ``read_cloud``, and so are ``viewpoint`` and ``dtype``.
+        viewpoint: likewise.
+        dtype: likewise.
+        reading: all options at once, in place of ``viewpoint`` and ``dtype``.
+        progress: is called with the rows of a scan read so far and the rows of that scan.
+
+    Returns:
+        One record a scan, in the order of the file: its ``cloud``, in the frame of the file and with the scanner's
+        position as viewpoint; its ``pose`` (4, 4) ``T_file_scan`` and its name ``scan`` where the file has them.
+        Scans without points are left out; a note of the others says which.
+
+    Raises:
+        CloudFileError: as for ``read_cloud``, or no scan has points.
+        ValueError: an option is invalid.
+
+    Example:
+        >>> import tempfile, torchreg.io
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     torchreg.io.write_cloud(f"{folder}/a.ply", Clouds(torch.rand(5, 3)))
+        ...     [(len(file.cloud.points), file.pose) for file in read_scans(f"{folder}/a.ply")]
+        [(5, None)]
+    """
+    reading = Reading(viewpoint=viewpoint, dtype=dtype) if reading is None else reading
+    scans, notes = with_points(Path(path), scans_of(path, reading.columns))
+    files = [finished(Path(path), one, reading, progress) for _, one in scans]
+    return [replace(file, notes=(*file.notes, *notes)) for file in files]
 
 
 def write_cloud(path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None = None) -> None:

@@ -17,10 +17,17 @@ from torchreg.io.assemble import RawCloud
 from torchreg.io.npz import read_npz, write_npz
 from torchreg.io.pcd import read_pcd
 from torchreg.io.ply import read_ply, write_ply
+from torchreg.io.stream import ScanStream
 from torchreg.types import Clouds
 
-Reader = Callable[[Path], Iterator[RawCloud]]
+Scan = RawCloud | ScanStream
+"""A scan of a file: its points, or what reads them by chunks."""
+
+Reader = Callable[[Path], Iterator[Scan]]
 """Yields the scans of a file one after another: one in most formats, many in a project of a scanner."""
+
+ColumnReader = Callable[[Path, str], Iterator[Scan]]
+"""A reader that is told what the columns are, such as "x y z red green blue"."""
 
 Writer = Callable[[BinaryIO, Clouds, torch.dtype], None]
 """Writes one cloud, which is on the CPU in float64, to an open file; the dtype is the one that the caller has it in."""
@@ -35,12 +42,14 @@ class CloudFormat:
         words: what the format is, as help texts put it behind the suffixes.
         read: ``None`` where the format is only written.
         write: ``None`` where the format is only read.
+        read_columns: where the format does not always say what its columns are.
     """
 
     suffixes: tuple[str, ...]
     words: str
     read: Reader | None = None
     write: Writer | None = None
+    read_columns: ColumnReader | None = None
 
 
 FORMATS = (
@@ -52,8 +61,26 @@ FORMATS = (
 READERS = {suffix: row.read for row in FORMATS if row.read is not None for suffix in row.suffixes}
 WRITERS = {suffix: row.write for row in FORMATS if row.write is not None for suffix in row.suffixes}
 
+COLUMN_READERS = {
+    suffix: row.read_columns for row in FORMATS if row.read_columns is not None for suffix in row.suffixes
+}
+
 CLOUD_SUFFIXES = tuple(READERS)
 """What the names of clouds that can be read end in."""
+
+
+_CLOSED = "its maker's own: export the cloud from there as E57 or LAS"
+UNREADABLE = {
+    **dict.fromkeys((".rcp", ".rcs"), f"Autodesk ReCap, {_CLOSED}"),
+    **dict.fromkeys((".fls", ".fws", ".lsproj"), f"FARO, {_CLOSED}"),
+    **dict.fromkeys((".zfs", ".zfprj"), f"Zoller + Froehlich, {_CLOSED}"),
+    **dict.fromkeys((".rdb", ".rdbx", ".3dd", ".rxp"), f"RIEGL, {_CLOSED}"),
+    **dict.fromkeys((".imp", ".lgs", ".lgsx"), f"Leica, {_CLOSED}"),
+    **dict.fromkeys((".tzf", ".tzs"), f"Trimble, {_CLOSED}"),
+    ".bin": "CloudCompare's own: save the cloud there as PLY, E57 or LAS",
+    ".pod": "Bentley's own: export the cloud from there as E57 or LAS",
+}
+"""Formats of clouds that are not read, and what to do with such a file."""
 
 
 def alternatives(suffixes: Iterable[str]) -> str:
