@@ -14,10 +14,12 @@ from typing import BinaryIO
 import torch
 
 from torchreg.io.assemble import RawCloud
+from torchreg.io.las import read_las
 from torchreg.io.npz import read_npz, write_npz
 from torchreg.io.pcd import read_pcd
 from torchreg.io.ply import read_ply, write_ply
 from torchreg.io.stream import ScanStream
+from torchreg.io.text import read_named_text, read_text
 from torchreg.types import Clouds
 
 Scan = RawCloud | ScanStream
@@ -55,6 +57,13 @@ class CloudFormat:
 FORMATS = (
     CloudFormat(suffixes=(".ply",), words="PLY, as text or binary", read=read_ply, write=write_ply),
     CloudFormat(suffixes=(".pcd",), words="PCD, as text, binary or compressed", read=read_pcd),
+    CloudFormat(suffixes=(".las", ".laz"), words="LAS, LAZ and COPC, by laspy", read=read_las),
+    CloudFormat(
+        suffixes=(".xyz", ".txt", ".csv", ".asc", ".pts"),
+        words="text, one point a line",
+        read=read_text,
+        read_columns=read_named_text,
+    ),
     CloudFormat(suffixes=(".npz",), words="NumPy arrays, nothing rounded", read=read_npz, write=write_npz),
 )
 

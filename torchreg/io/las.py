@@ -1,0 +1,94 @@
+"""LAS, LAZ and COPC, by laspy and lazrs.
+
+Colors have 16 bits; many programs write 8 of them, which shows in the largest. The unit is that of the coordinate
+system where the file names one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchreg.io.assemble import RawCloud
+from torchreg.io.checks import require
+from torchreg.io.foreign import package, refusing
+from torchreg.io.stream import CHUNK_ROWS, ScanStream
+from torchreg.io.thin import CloudRows
+
+_KIND = "a LAS or LAZ file that laspy reads"
+_UNIT_KEYS = (3076, 4099)  # of GeoTIFF: across, upwards
+_GEOTIFF_UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
+_WKT_UNIT = re.compile(r'UNIT\["[^"]*",(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)')
+_LARGEST_ANGLE = 0.1  # radians in a degree or a gon, rounded up
+_WKT_METERS = ((1.0, "m"), (0.3048, "ft"), (1200 / 3937, "us-ft"))
+
+
+def read_las(path: Path) -> Iterator[ScanStream]:
+    """Read the points of a LAS, LAZ or COPC file, with colors and intensity where any of them is not 0.
+
+    Raises:
+        CloudFileError: not such a file, one that laspy cannot read, or fewer points than its header declares.
+    """
+    laspy = package(path, "laspy", "'laspy[lazrs]'")
+    with refusing(path, _KIND), laspy.open(path) as file:
+        header = file.header
+        dimensions = set(header.point_format.dimension_names)
+        rows, (unit, upwards) = int(header.point_count), _units(header)
+        kind = f"las {header.version}, point format {header.point_format.id}"
+    notes: tuple[str, ...] = ()
+    if upwards not in (None, unit):
+        notes = (
+            f"the file says that its heights are in {upwards} and its other coordinates in {unit or 'another unit'}",
+        )
+    head = RawCloud(name=str(path), format=kind, points=np.empty((0, 3)), unit=unit, notes=notes)
+    yield ScanStream(
+        head=head,
+        rows=rows,
+        chunks=lambda: _chunks(path, laspy, rows, dimensions),
+        white=65535.0 if "red" in dimensions else None,
+    )
+
+
+def _chunks(path: Path, laspy: Any, declared: int, dimensions: set[str]) -> Iterator[CloudRows]:  # noqa: ANN401
+    rows = 0
+    with refusing(path, _KIND), laspy.open(path) as file:
+        for points in file.chunk_iterator(CHUNK_ROWS):
+            xyz = np.stack([np.asarray(axis, dtype=np.float64) for axis in (points.x, points.y, points.z)], axis=1)
+            colors = None
+            if "red" in dimensions:
+                colors = np.stack([points.red, points.green, points.blue], axis=1)
+            rows += len(xyz)
+            yield CloudRows(xyz, colors, None, np.asarray(points.intensity, dtype=np.float64))
+    require(rows == declared, path, f"{declared} points, as its header declares", f"{rows}")
+
+
+def _units(header: Any) -> tuple[str | None, str | None]:  # noqa: ANN401
+    """The units across and upwards that the coordinate system names; ``None`` for one that it does not name."""
+    records = [*header.vlrs, *(header.evlrs or ())]
+    for record in records:
+        text = getattr(record, "string", None)
+        if isinstance(text, str) and text.strip("\0 "):
+            return _units_of_wkt(text)
+    keys = {key.id: int(key.value_offset) for record in records for key in getattr(record, "geo_keys", ())}
+    across, upwards = (_GEOTIFF_UNITS.get(keys.get(key, 0)) for key in _UNIT_KEYS)
+    return across, upwards
+
+
+def _units_of_wkt(text: str) -> tuple[str | None, str | None]:
+    """Likewise in a coordinate system as text, of either version; units of angles are far below a foot."""
+    flat = "".join(text.split())
+    if "CS[Cartesian" in flat:  # version 2: the unit follows the axes
+        across, _, upwards = flat.partition("CS[Cartesian")[2].partition("CS[vertical")
+        return _unit_named(across, 0), _unit_named(upwards, 0)
+    across, _, upwards = flat.partition("VERT_CS[")  # version 1: it is the last of the projected system
+    return _unit_named(across, -1) if "PROJCS[" in across else None, _unit_named(upwards, -1)
+
+
+def _unit_named(text: str, place: int) -> str | None:
+    sizes = [size for word in _WKT_UNIT.findall(text) if (size := float(word)) > _LARGEST_ANGLE]
+    near = (name for meters, name in _WKT_METERS if sizes and abs(sizes[place] - meters) < 1e-8)
+    return next(near, None)
