@@ -14,6 +14,7 @@ from typing import BinaryIO
 import torch
 
 from torchreg.io.assemble import RawCloud
+from torchreg.io.e57 import read_e57
 from torchreg.io.las import read_las
 from torchreg.io.npz import read_npz, write_npz
 from torchreg.io.pcd import read_pcd
@@ -57,6 +58,7 @@ class CloudFormat:
 FORMATS = (
     CloudFormat(suffixes=(".ply",), words="PLY, as text or binary", read=read_ply, write=write_ply),
     CloudFormat(suffixes=(".pcd",), words="PCD, as text, binary or compressed", read=read_pcd),
+    CloudFormat(suffixes=(".e57",), words="E57, of one scan or many, by pye57", read=read_e57),
     CloudFormat(suffixes=(".las", ".laz"), words="LAS, LAZ and COPC, by laspy", read=read_las),
     CloudFormat(
         suffixes=(".xyz", ".txt", ".csv", ".asc", ".pts"),

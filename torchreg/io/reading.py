@@ -142,7 +142,7 @@ def with_points(path: Path, scans: Iterable[Scan]) -> tuple[list[tuple[int, Scan
     numbered = list(enumerate(scans))
     full = [(k, scan) for k, scan in numbered if not (isinstance(scan, ScanStream) and scan.rows == 0)]
     if not full:
-        refuse(path, "a scan with points", f"{len(numbered)} scans without any")
+        refuse(path, "a scan with points", f"none among {len(numbered)}")
     there = {k for k, _ in full}
     lost = ", ".join(str(k) for k, _ in numbered if k not in there)
     return full, (f"left out, since they have no points: scans {lost} of {len(numbered)}",) * bool(lost)
