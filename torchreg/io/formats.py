@@ -19,6 +19,7 @@ from torchreg.io.las import read_las
 from torchreg.io.npz import read_npz, write_npz
 from torchreg.io.pcd import read_pcd
 from torchreg.io.ply import read_ply, write_ply
+from torchreg.io.ptx import read_ptx
 from torchreg.io.stream import ScanStream
 from torchreg.io.text import read_named_text, read_text
 from torchreg.types import Clouds
@@ -60,6 +61,7 @@ FORMATS = (
     CloudFormat(suffixes=(".pcd",), words="PCD, as text, binary or compressed", read=read_pcd),
     CloudFormat(suffixes=(".e57",), words="E57, of one scan or many, by pye57", read=read_e57),
     CloudFormat(suffixes=(".las", ".laz"), words="LAS, LAZ and COPC, by laspy", read=read_las),
+    CloudFormat(suffixes=(".ptx",), words="PTX, of one scan or many", read=read_ptx),
     CloudFormat(
         suffixes=(".xyz", ".txt", ".csv", ".asc", ".pts"),
         words="text, one point a line",
