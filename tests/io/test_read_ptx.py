@@ -84,9 +84,8 @@ def test_colors_of_zeros_are_none_and_four_numbers_have_none(tmp_path):
 
 
 def test_scans_of_a_file_have_their_own_poses_and_colors(tmp_path):
-    path = made(
-        tmp_path, scan(T=pose()) + scan(POINTS[:2], None, T=pose(np.array([1.0, 0, 0]))) + "\n\n" + scan(POINTS[:3])
-    )
+    last = scan(POINTS[:3], COLORS[:3])
+    path = made(tmp_path, scan(T=pose()) + scan(POINTS[:2], None, T=pose(np.array([1.0, 0, 0]))) + "\n\n" + last)
     scans = read_scans(path, dtype=torch.float64)
     assert [len(one.cloud.points) for one in scans] == [4, 2, 3]
     assert [one.has_colors for one in scans] == [True, False, True]
