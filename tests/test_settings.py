@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 
 from torchreg.cli.app import app
 from torchreg.cli.expand import expanded
+from torchreg.declaration import declared, setting
 from torchreg.registration import PAPER
-from torchreg.settings import PairSettings, Settings, StageSettings, declared, setting
+from torchreg.settings import PairSettings, Settings, StageSettings
 
 SETTINGS = declared(PairSettings)
 COMMANDS = {"register": Settings, "batch": PairSettings, "check": StageSettings}

@@ -8,14 +8,15 @@ and help texts all follow from the field and its ``Setting``, so to add a settin
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache
-from types import NoneType
-from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
 
+from torchreg.declaration import Change, Setting, declared, setting, value_of
 from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.io.placement import viewpoint_of_text
+from torchreg.io.reading import Reading
+from torchreg.io.units import UNITS
 from torchreg.registration.options import EFFORTS, LEARNED, PAPER, RegistrationOptions
 from torchreg.registration.spacing import MAX_POINTS, options_for
 from torchreg.solvers import SOLVERS, RansacOptions
@@ -23,27 +24,11 @@ from torchreg.solvers import SOLVERS, RansacOptions
 PRESETS: dict[str, RegistrationOptions | None] = {"default": None, "paper": PAPER, "learned": LEARNED}
 """Options to start from, by name; ``None`` derives them from the spacing of the points."""
 
-Change = Callable[[RegistrationOptions, Any], RegistrationOptions]
 _Settings = TypeVar("_Settings", bound="StageSettings")
 _RANSAC = RansacOptions()
 
-
-@dataclass(frozen=True, kw_only=True)
-class Setting:
-    """The declaration of a setting beside its name, type and default."""
-
-    help: str  # a sentence with its unit, and its default where that is ``None``
-    panel: str  # its heading in help texts
-    metavar: str | None = None  # the name of its value there; ``None`` shows the choices or the type
-    choices: tuple[str, ...] = ()  # the values that it may have; empty for any
-    least: int | None = None  # the least value of a whole number
-    change: Change | None = None  # sets its value in options; ``None`` where it changes no ``RegistrationOptions``
-    of_ransac: bool = False  # whether only RANSAC reads it
-
-
-def setting(default: object, panel: str, text: str, **more: Any) -> Any:  # noqa: ANN401
-    """A field of settings with its default; ``more`` are attributes of its ``Setting``."""
-    return field(default=default, metadata={"setting": Setting(help=text, panel=panel, **more)})
+LARGEST_READ = 2_000_000
+"""Points that the commands take from a file as they are; a larger file is thinned to no more while it is read."""
 
 
 def _length(change: Change, text: str) -> Any:  # noqa: ANN401
@@ -91,6 +76,32 @@ class StageSettings:
         "stood at that zero. none: not known. X,Y,Z: a known position in meters in the frame of both files.",
         metavar="auto|origin|none|X,Y,Z",
     )
+    scan: str | None = setting(
+        None,
+        "Input",
+        "Which scan of a file with several, by its number, counted from 0, or its name; by default the only one.",
+        metavar="NUMBER|NAME",
+    )
+    target_scan: str | None = setting(
+        None,
+        "Input",
+        "Which scan of the target's file, where it is another; by default the one that --scan names.",
+        metavar="NUMBER|NAME",
+    )
+    columns: str | None = setting(
+        None,
+        "Input",
+        "Columns of text files, such as 'x y z intensity red green blue', with _ for one to skip; by default as a "
+        "header or the numbers tell.",
+        metavar="NAMES",
+    )
+    units: str | None = setting(
+        None,
+        "Input",
+        "Unit of the files; by default their numbers are taken for meters. file: the one that each names.",
+        choices=UNITS,
+    )
+    intensity: bool = setting(False, "Input", "Use the intensity as gray colors, where a file has no colors.")
     preset: str = setting(
         "default",
         "Lengths",
@@ -102,7 +113,8 @@ class StageSettings:
     voxel: float | None = _length(
         _field("voxel_size"),
         "Edge in meters of the voxels over which points are averaged first; by default only clouds of more than "
-        f"{MAX_POINTS:,} points or of unequal density are averaged.",
+        f"{MAX_POINTS:,} points or of unequal density are averaged. Larger files than {LARGEST_READ:,} points are "
+        "thinned while they are read.",
     )
     normal_radius: float | None = _length(
         _field("normal_radius"), "Support radius of a normal, in meters; by default twice the spacing of the points."
@@ -166,6 +178,21 @@ class StageSettings:
         values = ((name, getattr(self, name), known) for name, (_, known) in declared(type(self)).items())
         return [one for one in values if one[1] is not None and one[1] is not False]
 
+    def reading(self) -> Reading:
+        """How both files are read, by cubes of half a voxel where they are large: they are averaged again later."""
+        return Reading(
+            viewpoint=viewpoint_of_text(self.viewpoint),
+            columns=self.columns,
+            units=self.units,
+            voxel=None if self.voxel is None else self.voxel / 2,
+            at_most=LARGEST_READ,
+            intensity=self.intensity,
+        )
+
+    def scans(self) -> tuple[str | None, str | None]:
+        """Which scan of the source's and of the target's file."""
+        return self.scan, self.scan if self.target_scan is None else self.target_scan
+
     def over(self, options: RegistrationOptions) -> RegistrationOptions:
         """The options with the value of every setting that has one."""
         options = replace(options, solver=options.solver_named(self._solver(options)))
@@ -201,7 +228,7 @@ class StageSettings:
         changes: dict[str, Any] = {}
         for name, text in columns.items():
             if name in known:
-                changes[name] = _value(known[name].kind, text, f"{where}, column {name}")
+                changes[name] = value_of(known[name].kind, text, f"{where}, column {name}")
                 continue
             for close in difflib.get_close_matches(name, known, n=1, cutoff=0.8):
                 expect(False, f"{where}, column {name}", f"a name unlike {close}, or that itself", name)
@@ -258,38 +285,3 @@ class PairSettings(Settings):
         "equally dense, so that each is described once. pair: its two clouds alone, as torchreg register.",
         choices=("shared", "pair"),
     )
-
-
-class Declared(NamedTuple):
-    """The type of a setting without ``None``, and its declaration."""
-
-    kind: type
-    setting: Setting
-
-
-def declared(group: type) -> dict[str, Declared]:
-    """The settings that are fields of a dataclass, by name; other fields are left out."""
-    return _declared(group)
-
-
-@cache  # whose type takes no dataclass
-def _declared(group: type) -> dict[str, Declared]:
-    hints = get_type_hints(group)
-    known = {}
-    for one in fields(group):
-        if "setting" in one.metadata:
-            (kind,) = (kind for kind in get_args(hints[one.name]) or (hints[one.name],) if kind is not NoneType)
-            known[one.name] = Declared(kind, one.metadata["setting"])
-    return known
-
-
-def _value(kind: type, text: str, where: str) -> Any:  # noqa: ANN401
-    """The value of this type in the text of a cell; ``ValueError`` where there is none."""
-    words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}[kind]
-    try:
-        return _SWITCH[text.lower()] if kind is bool else kind(text)
-    except (ValueError, KeyError):
-        raise ValueError(f"{where}: expected {words}, got {text!r}") from None
-
-
-_SWITCH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}

@@ -301,7 +301,7 @@ def test_equal_clouds_of_other_names_are_described_once(batch, project, tmp_path
 def test_a_finished_batch_is_not_computed_again(batch, project, tmp_path, monkeypatch):
     assert batch(project.table).exit_code == 0
     before = (tmp_path / "out" / "results.csv").read_bytes()
-    monkeypatch.setattr("torchreg.batch.clouds.read_cloud", None)
+    monkeypatch.setattr("torchreg.batch.clouds.read_cloud_report", None)
     monkeypatch.setattr("torchreg.batch.jobs.register_described", None)
     again = batch(project.table)
     assert again.exit_code == 0, again.output

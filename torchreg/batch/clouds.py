@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from torchreg.batch.pairs import Pair
-from torchreg.io import read_cloud
-from torchreg.io.placement import viewpoint_of_text
+from torchreg.io import read_cloud_report
 from torchreg.preprocess import random_downsample
 from torchreg.registration.inspect import facts_of, too_wide
 from torchreg.registration.spacing import MAX_POINTS, CloudScale
+from torchreg.settings import StageSettings
 from torchreg.types import Clouds
 
 
@@ -24,6 +24,11 @@ class CloudSource(NamedTuple):
     viewpoint: str  # as in ``PairSettings``
     points: int | None  # that are chosen at random; ``None`` for all
     seed: int  # of that choice; 0 where there is none
+    scan: str | None = None  # likewise as in ``PairSettings``, and so are the next
+    columns: str | None = None
+    units: str | None = None
+    intensity: bool = False
+    finest: float | None = None  # meters, the voxel edge that was given: large files are thinned for it
 
 
 class CloudMeasures(NamedTuple):
@@ -40,7 +45,9 @@ def sources_of(pair: Pair) -> tuple[CloudSource, CloudSource]:
     """Source and target of a pair."""
     given = pair.settings
     seed = given.seed if given.points is not None else 0
-    source, target = (CloudSource(path, given.viewpoint, given.points, seed) for path in (pair.source, pair.target))
+    how = (given.columns, given.units, given.intensity, given.voxel)
+    sides = zip((pair.source, pair.target), given.scans(), strict=True)
+    source, target = (CloudSource(path, given.viewpoint, given.points, seed, scan, *how) for path, scan in sides)
     return source, target
 
 
@@ -50,7 +57,14 @@ def read_source(source: CloudSource) -> Clouds:
     Raises:
         CloudFileError: the file is missing or damaged.
     """
-    cloud = read_cloud(source.path, viewpoint=viewpoint_of_text(source.viewpoint))
+    settings = StageSettings(
+        viewpoint=source.viewpoint,
+        columns=source.columns,
+        units=source.units,
+        intensity=source.intensity,
+        voxel=source.finest,
+    )
+    cloud = read_cloud_report(source.path, scan=source.scan, reading=settings.reading()).cloud
     if source.points is None:
         return cloud
     # points are chosen once for all pairs of a cloud; from a copy of it that was moved, others are chosen

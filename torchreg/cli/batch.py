@@ -20,9 +20,10 @@ from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
+from torchreg.declaration import declared
 from torchreg.errors import expect, positive
 from torchreg.io.atomic import remove_remains
-from torchreg.settings import PairSettings, declared
+from torchreg.settings import PairSettings
 
 _LISTED_FILES = 20  # that do not exist, by name
 

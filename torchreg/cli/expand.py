@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from torchreg.settings import declared
+from torchreg.declaration import declared
 
 
 def expanded(command: Callable[..., None]) -> Callable[..., None]:

@@ -9,8 +9,8 @@ import typer
 
 from torchreg.cli import options as opt
 from torchreg.cli.output import STANDARD_OUTPUT, standard_output, write_json
-from torchreg.cli.progress import step
-from torchreg.io import CloudFile, read_cloud_report
+from torchreg.cli.progress import reading_bar, step
+from torchreg.io import CloudFile, Reading, read_cloud_report
 from torchreg.io.formats import formats_in_words
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.result_json import plain_data
@@ -18,6 +18,7 @@ from torchreg.registration import derive_options
 from torchreg.registration.inspect import refuse
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.spacing import spacing
+from torchreg.settings import LARGEST_READ
 
 CloudPath = Annotated[
     Path, typer.Argument(metavar="FILE", help=f"A cloud, coordinates in meters: {formats_in_words()}.")
@@ -28,15 +29,24 @@ JsonSwitch = Annotated[
 ]
 
 
-def info(file: CloudPath, json: JsonSwitch = False, viewpoint: opt.ViewpointText = "auto") -> None:
+def info(
+    file: CloudPath,
+    json: JsonSwitch = False,
+    viewpoint: opt.ViewpointText = "auto",
+    scan: opt.ScanText = None,
+    columns: opt.ColumnsText = None,
+    units: opt.UnitsText = None,
+) -> None:
     """Show what a cloud's FILE holds: points, colors, extent and spacing in meters, and the options that follow.
 
     Exit code 0: the file can be read. 2: it cannot.
     """
     from torchreg.report import cloud_table
 
-    with step(f"reading {file.name}"):
-        report = read_cloud_report(file, viewpoint=viewpoint_of_text(viewpoint, "--viewpoint"))
+    place = viewpoint_of_text(viewpoint, "--viewpoint")
+    reading = Reading(viewpoint=place, columns=columns, units=units, at_most=LARGEST_READ)
+    with reading_bar(file.name) as progress:
+        report = read_cloud_report(file, scan=scan, reading=reading, progress=progress)
     cloud = report.cloud
     failure = refuse(cloud, cloud)[0]
     defect = "" if failure is None else failure.text.replace("the source", "it")
@@ -65,6 +75,11 @@ def _content(file: CloudFile, apart: float, options: RegistrationOptions | None,
         "viewpoint": position,
         "viewpoint_known": bool(file.cloud.viewpoint_known[0]),
         "viewpoint_source": file.viewpoint_source,
+        "scan": file.scan,
+        "pose": None if file.pose is None else file.pose.tolist(),
+        "has_intensity": file.intensity is not None,
+        "unit": file.unit,
+        "voxel": file.voxel,
         "origin": file.cloud.origin[0].tolist(),
         "extent": list(file.extent),
         "spacing": apart,

@@ -25,6 +25,9 @@ class Device(str, Enum):
 
 
 ViewpointText = Annotated[str, option_of(Settings, "viewpoint")]
+ScanText = Annotated[str | None, option_of(Settings, "scan")]
+ColumnsText = Annotated[str | None, option_of(Settings, "columns")]
+UnitsText = Annotated[str | None, option_of(Settings, "units")]
 Seed = Annotated[int, option_of(Settings, "seed")]
 DeviceName = Annotated[
     Device, typer.Option("--device", help="Where to compute: on the processor or on a GPU.", rich_help_panel=RUN)

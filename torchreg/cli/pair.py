@@ -11,10 +11,9 @@ import typer
 from torch import Tensor
 
 from torchreg.cli.options import INPUT
-from torchreg.cli.progress import step
+from torchreg.cli.progress import reading_bar
 from torchreg.io import CLOUD_SUFFIXES, CloudFile, read_cloud_report, read_transform_text
 from torchreg.io.formats import alternatives
-from torchreg.io.placement import viewpoint_of_text
 from torchreg.preprocess import random_downsample, voxel_downsample
 from torchreg.registration import derive_options
 from torchreg.registration.options import RegistrationOptions
@@ -74,6 +73,10 @@ class ReadPair:
             texts.append(f"{file.path}: {part}{file.points_in_file:,} points")
         return texts[0], texts[1]
 
+    def notes(self) -> dict[str, list[str]]:
+        """What reading showed, for JSON."""
+        return {name: list(file.notes) for name, file in zip(("source", "target"), self.files, strict=True)}
+
     def counts(self) -> dict[str, dict[str, int]]:
         """Points in the files and points used, for JSON."""
         numbers = zip(("source", "target"), self.files, self.used, strict=True)
@@ -87,11 +90,10 @@ def read_pair(paths: PairArguments, settings: StageSettings) -> ReadPair:
         CloudFileError: a file that cannot be read as a cloud.
         ValueError: the viewpoint cannot be meant.
     """
-    position = viewpoint_of_text(settings.viewpoint)
-    files = []
-    for path in (paths.source, paths.target):
-        with step(f"reading {path.name}"):
-            files.append(read_cloud_report(path, viewpoint=position))
+    reading, files = settings.reading(), []
+    for path, scan in zip((paths.source, paths.target), settings.scans(), strict=True):
+        with reading_bar(path.name) as progress:
+            files.append(read_cloud_report(path, scan=scan, reading=reading, progress=progress))
     whole = (files[0].cloud, files[1].cloud)
     used = whole
     if settings.points is not None:

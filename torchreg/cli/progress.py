@@ -47,6 +47,42 @@ def step(what: str) -> Iterator[None]:
 
 
 @contextmanager
+def reading_bar(name: str) -> Iterator[Callable[[int, int | None], None] | None]:
+    """A function that shows how many points of a file were read, and how many a second; ``None`` off a terminal.
+
+    The bar goes away at the end. Files that are read as a whole show a turning mark and the seconds.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}", markup=False),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        task, begin = bars.add_task(plain(f"reading {name}").plain, total=None, rate=""), time.monotonic()
+
+        def show(read: int, rows: int | None) -> None:
+            bars.update(task, completed=read, total=rows, rate=points_rate(read, time.monotonic() - begin))
+
+        yield show
+
+
+def points_rate(points: int, seconds: float) -> str:
+    """Points and points a second in words, such as "3.2 million points, 1.1 million/s"."""
+    rate = f", {_millions(points / seconds)}/s" if seconds > 0 else ""
+    return f"{_millions(points)} points{rate}"
+
+
+def _millions(count: float) -> str:
+    return f"{count / 1e6:.1f} million" if count >= 1e6 else f"{count:,.0f}"
+
+
+@contextmanager
 def batch_progress() -> Iterator[Callable[[BatchProgress], None]]:
     """A function that shows every step of a batch: as bars on a terminal, as a line now and then elsewhere."""
     if not sys.stderr.isatty():

@@ -44,7 +44,7 @@ class Outputs:
             "--aligned",
             metavar="FILE.ply",
             help="Write the whole source in the frame of the target, coordinates in meters, as a "
-            f"{alternatives(WRITERS)} file.",
+            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -120,14 +120,17 @@ def register(
         content = result_to_dict(result, seed=seed, source=str(files.source), target=str(files.target))
         run = {name: getattr(settings, name) for name in ("preset", "points", "viewpoint")} | {"device": device.value}
         truth = None if errors is None else errors._asdict()
-        write_json(outputs.json, {**content, "points": pair.counts(), "run": run, "truth": truth})
+        write_json(
+            outputs.json, {**content, "points": pair.counts(), "file_notes": pair.notes(), "run": run, "truth": truth}
+        )
     _write_clouds(outputs, pair, result)
     _draw(outputs, pair, result, f"{files.source.name} to {files.target.name}")
     if outputs.json == STANDARD_OUTPUT:
         complain("registered" if success else f"not registered: {reason}")
     else:
         words = pair.words
-        table = registration_table(result, source=words[0], target=words[1], truth=errors)
+        notes = [f"{side}: {note}" for side, notes in pair.notes().items() for note in notes]
+        table = registration_table(result, source=words[0], target=words[1], truth=errors, file_notes=notes)
         standard_output().print(table)
     if outputs.explain:
         console = standard_output(stderr=outputs.json == STANDARD_OUTPUT)

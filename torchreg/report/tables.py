@@ -19,7 +19,13 @@ from torchreg.types import RegistrationResult
 
 
 def registration_table(
-    result: RegistrationResult, pair: int = 0, *, source: str, target: str, truth: PoseErrors | None = None
+    result: RegistrationResult,
+    pair: int = 0,
+    *,
+    source: str,
+    target: str,
+    truth: PoseErrors | None = None,
+    file_notes: Iterable[str] = (),
 ) -> Table:
     """One pair of a result: its clouds, derived numbers, counts, fit, certainty, times, notes and verdict.
 
@@ -29,6 +35,7 @@ def registration_table(
         source: text that names the source cloud, such as its file and size.
         target: likewise.
         truth: errors under the true transform, where it is known.
+        file_notes: what reading the clouds showed.
     """
     facts = facts_of(result, pair)
     table = _table((("source", source), ("target", target)))
@@ -39,7 +46,7 @@ def registration_table(
         total = sum(seconds for _, seconds in result.seconds)
         stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds)
         table.add_row("time", f"{total:.2f} s: {stages}")
-    _add(table, (("note", note) for note in facts.notes))
+    _add(table, (("note", note) for note in (*file_notes, *facts.notes)))
     if truth is not None:
         rre, rte, rmse = truth
         table.add_row("against the truth", f"RRE {rre:.4g} degrees, RTE {meters(rte)}, RMSE {meters(rmse)}")
@@ -65,10 +72,12 @@ def cloud_table(file: CloudFile, spacing: float, options: RegistrationOptions | 
         (
             ("file", file.path),
             ("format", file.format),
+            *((("scan", file.scan),) if file.scan else ()),
             ("points", f"{file.points_in_file:,} in the file{dropped}"),
             ("extent", " x ".join(f"{edge:.4g}" for edge in file.extent) + " m"),
             ("origin", ", ".join(f"{value:.9g}" for value in file.cloud.origin[0].tolist()) + " m"),
             ("colors", f"yes, {file.color_depth}" if file.has_colors else "no"),
+            *((("intensity", "yes"),) if file.intensity is not None else ()),
             ("normals", "yes" if file.has_normals else "no"),
             ("viewpoint", file.viewpoint_source),
             ("spacing", meters(spacing) + " (median distance to the fourth neighbor)"),

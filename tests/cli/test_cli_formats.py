@@ -1,0 +1,84 @@
+"""Scans of one file, columns, units, intensity and thinning at the command line."""
+
+import json
+
+import numpy as np
+import pytest
+from made_e57 import write_e57
+
+import torchreg as tr
+from torchreg.cli.progress import points_rate, reading_bar
+
+
+def fields(cloud):
+    points, colors = cloud.points.double().numpy(), (cloud.colors * 255).round().int().numpy()
+    names = ("cartesianX", "cartesianY", "cartesianZ", "colorRed", "colorGreen", "colorBlue")
+    return dict(zip(names, (*points.T, *colors.T), strict=True))
+
+
+@pytest.fixture(scope="module")
+def project(room, tmp_path_factory):
+    """Both scans of the room in one E57 file."""
+    clouds = [tr.read_cloud(path) for path in (room.source, room.target)]
+    path = tmp_path_factory.mktemp("project") / "room.e57"
+    names = ("first", "second")
+    return write_e57(path, [{"fields": fields(cloud), "name": name} for cloud, name in zip(clouds, names, strict=True)])
+
+
+def result_of(run, *words):
+    ended = run("register", *words, "--json", "-")
+    assert ended.exit_code == 0, ended.output
+    return json.loads(ended.stdout)
+
+
+def test_two_scans_of_one_file_are_registered(run, project, room):
+    for scans in (("0", "1"), ("first", "second")):
+        result = result_of(run, project, project, "--scan", scans[0], "--target-scan", scans[1], "--truth", room.truth)
+        assert result["truth"]["rre_degrees"] < 2
+    ended = run("register", project, project)
+    assert ended.exit_code == 2
+    assert "a file of 2 scans (0 'first', 1 'second')" in ended.stderr
+
+
+def test_info_of_a_scan(run, project):
+    shown = json.loads(run("info", project, "--scan", "second", "--json").stdout)
+    assert (shown["scan"], shown["pose"], shown["has_intensity"], shown["unit"]) == ("second", None, False, None)
+    assert "second" in run("info", project, "--scan", "1").stdout
+
+
+def test_columns_and_units_of_text(run, tmp_path):
+    points = np.random.default_rng(0).uniform(0, 3000, (300, 3))
+    np.savetxt(tmp_path / "a.txt", np.concatenate([points[:, ::-1], np.full((300, 1), 7)], axis=1))
+    words = ("info", tmp_path / "a.txt", "--columns", "zyx_", "--units", "mm", "--json")
+    shown = json.loads(run(*words).stdout)
+    np.testing.assert_allclose(shown["extent"], np.ptp(points, axis=0) / 1000, rtol=1e-12)
+    assert run("info", tmp_path / "a.txt", "--units", "mile").exit_code == 2
+
+
+def test_large_files_are_thinned_while_they_are_read_and_the_result_says_so(run, project, room, monkeypatch):
+    monkeypatch.setattr("torchreg.settings.LARGEST_READ", 4000)
+    result = result_of(run, project, project, "--scan", "0", "--target-scan", "1", "--truth", room.truth)
+    assert result["truth"]["rre_degrees"] < 2
+    assert all(any("thinned while it was read" in note for note in notes) for notes in result["file_notes"].values())
+    assert all(count["used"] <= 4000 < count["in_file"] for count in result["points"].values())
+    assert "thinned while it was read" in run("register", room.source, room.target).stdout
+
+
+def test_intensity_as_gray(run, tmp_path):
+    points = np.random.default_rng(0).uniform(0, 5, (300, 4))
+    np.savetxt(tmp_path / "a.xyz", points)
+    for words, noted in (((), False), (("--intensity",), True)):
+        ended = run("register", tmp_path / "a.xyz", tmp_path / "a.xyz", "--json", "-", *words)
+        notes = json.loads(ended.stdout)["file_notes"]["source"]
+        assert any("is used as gray colors" in note for note in notes) == noted
+
+
+def test_the_pace_of_reading_in_words(monkeypatch):
+    assert points_rate(3_200_000, 2.0) == "3.2 million points, 1.6 million/s"
+    assert points_rate(5000, 0.0) == "5,000 points"
+    with reading_bar("a.e57") as progress:
+        assert progress is None
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with reading_bar("a.e57") as progress:
+        progress(10, None)
+        progress(20, 30)
