@@ -207,11 +207,12 @@ def test_a_truth_beyond_all_bounds_is_no_error(batch, room, tmp_path):
 def test_a_pattern_takes_clouds_alone(batch, project, tmp_path):
     assert batch("--all-pairs", project.folder / "*").exit_code == 0  # beside a table
     assert len(lines_of(tmp_path / "out")) == 3
-    for name in ("one.csv", "other.csv"):
+    for name in ("one.md", "other.md", "a.txt", "b.csv"):
         (tmp_path / name).write_text("no cloud")
-    refused = batch("--all-pairs", tmp_path / "*.csv")
-    assert refused.exit_code == 2
-    assert "at least two clouds" in refused.stderr
+    for pattern in ("*.md", "*", "*.txt"):
+        refused = batch("--all-pairs", tmp_path / pattern)
+        assert refused.exit_code == 2
+        assert "at least two clouds" in refused.stderr
 
 
 def test_a_cluster_that_does_not_answer_is_said_soon_and_leaves_no_folder(run, project, tmp_path):

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.io import CLOUD_SUFFIXES, read_pairs_file
+from torchreg.io.formats import AMBIGUOUS_SUFFIXES
 from torchreg.settings import PairSettings
 
 _LONGEST = 120  # characters of a file's name that are taken from a pair's
@@ -96,9 +97,12 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
     """Every two of the files that a pattern names, each pair once, the earlier name as the source.
 
     Raises:
-        ValueError: fewer than two clouds; other files do not count.
+        ValueError: fewer than two clouds; other files do not count, nor do those that end in .txt or .csv unless the
+            pattern ends so.
     """
-    named = [file for file in glob.glob(pattern, recursive=True) if Path(file).suffix.lower() in CLOUD_SUFFIXES]
+    asked_for = Path(pattern).suffix.lower()
+    suffixes = {suffix for suffix in CLOUD_SUFFIXES if suffix == asked_for or suffix not in AMBIGUOUS_SUFFIXES}
+    named = [file for file in glob.glob(pattern, recursive=True) if Path(file).suffix.lower() in suffixes]
     files = sorted(file for file in named if os.path.isfile(file))
     for file in files:
         legal = file.isprintable() and not any("\ud800" <= letter <= "\udfff" for letter in file)

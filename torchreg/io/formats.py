@@ -82,6 +82,9 @@ CLOUD_SUFFIXES = tuple(READERS)
 """What the names of clouds that can be read end in."""
 
 
+AMBIGUOUS_SUFFIXES = (".txt", ".csv")
+"""Suffixes of clouds and of other files too: a pattern means clouds where it ends so itself."""
+
 _CLOSED = "its maker's own: export the cloud from there as E57 or LAS"
 UNREADABLE = {
     **dict.fromkeys((".rcp", ".rcs"), f"Autodesk ReCap, {_CLOSED}"),

@@ -19,6 +19,7 @@ from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
 from torchreg.io.columns import Column, raw_from_columns, read_ascii, read_binary, record_dtype, surplus
 from torchreg.io.placement import FAR_COORDINATE, Scanner, scanner_of_file, viewpoint_or_nan
+from torchreg.io.splats import holds_splats, raw_from_splats
 from torchreg.types import Clouds
 
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -75,7 +76,8 @@ def read_ply(path: Path) -> Iterator[RawCloud]:
         columns = read_binary(path, vertex.columns, vertex.rows, header.size + skip)
         if vertex is header.elements[-1]:
             notes = surplus(path, vertex.columns, vertex.rows, header.size + skip)
-    yield raw_from_columns(str(path), f"ply {header.encoding}", columns, header.scanner, notes)
+    make = raw_from_splats if holds_splats(columns) else raw_from_columns
+    yield make(str(path), f"ply {header.encoding}", columns, header.scanner, notes)
 
 
 def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
