@@ -128,9 +128,20 @@ def test_files_cut_short_are_refused(tmp_path, suffix, keep):
         read_cloud(path)
 
 
+@pytest.mark.parametrize(("place", "size"), [(100, 4), (243, 4), (235, 8)])
+def test_records_that_the_file_has_no_room_for_are_refused_before_they_are_read(tmp_path, place, size):
+    path = made(tmp_path / "a.las", local())
+    content = bytearray(path.read_bytes())
+    content[243:247] = b"\1\0\0\0"  # one extended record
+    content[place : place + size] = b"\xff" * (size - 1) + b"\x7f"
+    path.write_bytes(bytes(content))
+    with pytest.raises(CloudFileError, match="records"):
+        read_cloud(path)
+
+
 def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "laspy", None)
-    (tmp_path / "a.las").write_bytes(b"LASF")
+    (tmp_path / "a.las").write_bytes(b"LASF" + bytes(300))
     with pytest.raises(CloudFileError, match=r"expected the package laspy, .* \(pip install 'laspy\[lazrs\]'\)"):
         read_cloud(tmp_path / "a.las")
 

@@ -121,6 +121,7 @@ def test_chunks_make_no_difference(tmp_path, monkeypatch):
         (scan(size=(10**8, 10**7)), "rows in scan 0, as it declares, got 4"),
         (scan(size=(2, 1)), "a header of 10 lines before scan 1"),
         (scan(size=(2, 1)) + scan(), "number of columns of scan 1"),
+        (scan(seat=np.array([1e200, 0, 0])), "lengths in meters"),
         (scan(T=2 * np.eye(4)), "a rigid 4x4 matrix"),
         (scan(T=np.diag([1.0, 1, -1, 1])), "a rigid 4x4 matrix"),
         (scan().replace("1 0 0 0", "1 0 one 0", 1), "4 numbers in a line of a PTX header"),

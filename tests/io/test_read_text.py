@@ -126,6 +126,10 @@ def test_pts_of_several_lists(tmp_path):
     assert "2 lists of points were joined" in file.notes
 
 
+def test_control_characters_beside_a_count_do_no_harm(tmp_path):
+    assert len(read_cloud(made(tmp_path, "a.pts", "1\x1e\n1 2 3\n")).points) == 1
+
+
 def test_pts_that_is_cut_short_is_refused_and_one_that_is_longer_read(tmp_path):
     with pytest.raises(CloudFileError, match=r"a\.pts: expected 4 points, as it declares, got 2"):
         read_cloud(made(tmp_path, "a.pts", "4\n1 2 3\n4 5 6\n"))

@@ -7,6 +7,7 @@ system where the file names one.
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from torchreg.io.assemble import RawCloud
-from torchreg.io.checks import require
+from torchreg.io.checks import excerpt, require
 from torchreg.io.foreign import package, refusing
 from torchreg.io.stream import CHUNK_ROWS, ScanStream
 from torchreg.io.thin import CloudRows
 
 _KIND = "a LAS or LAZ file that laspy reads"
+_OLD_HEADER, _HEADER = 227, 375  # bytes, of versions 1.0 and 1.4
+_RECORD, _EXTENDED_RECORD = 54, 60  # bytes before what they hold
 _UNIT_KEYS = (3076, 4099)  # of GeoTIFF: across, upwards
 _GEOTIFF_UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
 _WKT_UNIT = re.compile(r'UNIT\["[^"]*",(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)')
@@ -33,6 +36,7 @@ def read_las(path: Path) -> Iterator[ScanStream]:
     Raises:
         CloudFileError: not such a file, one that laspy cannot read, or fewer points than its header declares.
     """
+    _check_sizes(path)
     laspy = package(path, "laspy", "'laspy[lazrs]'")
     with refusing(path, _KIND), laspy.open(path) as file:
         header = file.header
@@ -51,6 +55,27 @@ def read_las(path: Path) -> Iterator[ScanStream]:
         chunks=lambda: _chunks(path, laspy, rows, dimensions),
         white=65535.0 if "red" in dimensions else None,
     )
+
+
+def _check_sizes(path: Path) -> None:
+    """Raise ``CloudFileError`` for records that the file has no room for: laspy takes memory or time for them all."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        start = file.read(_HEADER)
+        require(start[:4] == b"LASF", path, "a LAS file, which starts with 'LASF'", excerpt(start[:4]))
+        require(len(start) >= _OLD_HEADER, path, f"a header of {_OLD_HEADER} bytes or more", f"{len(start)}")
+        (records,) = struct.unpack_from("<I", start, 100)
+        require(records * _RECORD <= size, path, f"{records} records after the header", f"a file of {size} bytes")
+        if start[25] < 4 or len(start) < _HEADER:
+            return
+        place, count = struct.unpack_from("<QI", start, 235)
+        for _ in range(count):
+            room = size - place - _EXTENDED_RECORD
+            require(room >= 0, path, f"{count} extended records, as its header declares", "fewer before its end")
+            file.seek(place + 20)
+            (length,) = struct.unpack("<Q", file.read(8))
+            require(length <= room, path, f"an extended record of {length} bytes", f"{room} bytes before its end")
+            place += _EXTENDED_RECORD + length
 
 
 def _chunks(path: Path, laspy: Any, declared: int, dimensions: set[str]) -> Iterator[CloudRows]:  # noqa: ANN401

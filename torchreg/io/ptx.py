@@ -23,7 +23,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.io.assemble import RawCloud
+from torchreg.io.assemble import FARTHEST_COORDINATE, RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
 from torchreg.io.placement import scanner_of_file
 from torchreg.io.stream import CHUNK_ROWS, ScanStream
@@ -150,7 +150,7 @@ def _transform(path: Path, rows: list[NDArray[Any]], number: int) -> tuple[NDArr
     R = T[:3, :3]
     rigid = (
         np.array_equal(T[3], unit)
-        and bool(np.isfinite(T).all())
+        and bool((np.abs(T) < FARTHEST_COORDINATE).all())
         and bool(np.abs(R @ R.T - np.eye(3)).max() < _NEAR)
         and np.linalg.det(R) > 0
     )
@@ -163,6 +163,7 @@ def _floats(path: Path, text: str, count: int) -> NDArray[Any]:
     numbers = [number for word in text.split() if (number := _BLANKS.number(word)) is not None]
     if len(numbers) != count or len(text.split()) != count:
         refuse(path, f"{count} numbers in a line of a PTX header", excerpt(text))
+    require(max(map(abs, numbers)) < FARTHEST_COORDINATE, path, "lengths in meters in its PTX header", excerpt(text))
     return np.array(numbers)
 
 

@@ -72,7 +72,7 @@ def _chunks(path: Path, start: _Start, found: list[str]) -> Iterator[CloudRows]:
             if declared is not None:
                 counts = [one for one in chunk if _is_count(one)]
                 sections += len(counts)
-                declared += sum(int(one) for one in counts)
+                declared += sum(int(one.strip()) for one in counts)
                 points = [one for one in chunk if not _is_count(one)] if counts else chunk
             else:
                 points = chunk
@@ -98,7 +98,7 @@ def _start(file: TextIO, path: Path, columns: str | None) -> _Start:
         if skip >= _LONGEST_HEADER:
             break
         if _is_count(line) and count is None:
-            count = int(line)
+            count = int(line.strip())
             continue
         dialect = dialect_of(line)
         words = dialect.words(line)
