@@ -1,5 +1,7 @@
 """LAS and LAZ: what laspy reads comes through, colors of 8 and 16 bits, units, and damaged files."""
 
+import struct
+
 import laspy
 import numpy as np
 import pytest
@@ -136,6 +138,16 @@ def test_records_that_the_file_has_no_room_for_are_refused_before_they_are_read(
     content[place : place + size] = b"\xff" * (size - 1) + b"\x7f"
     path.write_bytes(bytes(content))
     with pytest.raises(CloudFileError, match="records"):
+        read_cloud(path)
+
+
+def test_chunks_that_the_file_has_no_room_for_are_refused_before_they_are_read(tmp_path):
+    path = made(tmp_path / "a.laz", local())
+    content = bytearray(path.read_bytes())
+    table = struct.unpack_from("<q", content, struct.unpack_from("<I", content, 96)[0])[0]
+    content[table + 4 : table + 8] = b"\xff\xff\xff\x7f"
+    path.write_bytes(bytes(content))
+    with pytest.raises(CloudFileError, match="2147483647 chunks of compressed points"):
         read_cloud(path)
 
 

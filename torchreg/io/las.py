@@ -10,7 +10,7 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from torchreg.io.thin import CloudRows
 _KIND = "a LAS or LAZ file that laspy reads"
 _OLD_HEADER, _HEADER = 227, 375  # bytes, of versions 1.0 and 1.4
 _RECORD, _EXTENDED_RECORD = 54, 60  # bytes before what they hold
+_CHUNK_BYTES = 1 << 25
+_COMPRESSED = 0x80  # of the point format
 _UNIT_KEYS = (3076, 4099)  # of GeoTIFF: across, upwards
 _GEOTIFF_UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
 _WKT_UNIT = re.compile(r'UNIT\["[^"]*",(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)')
@@ -38,7 +40,7 @@ def read_las(path: Path) -> Iterator[ScanStream]:
     """
     _check_sizes(path)
     laspy = package(path, "laspy", "'laspy[lazrs]'")
-    with refusing(path, _KIND), laspy.open(path) as file:
+    with refusing(path, _KIND), laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
         header = file.header
         dimensions = set(header.point_format.dimension_names)
         rows, (unit, upwards) = int(header.point_count), _units(header)
@@ -64,6 +66,7 @@ def _check_sizes(path: Path) -> None:
         start = file.read(_HEADER)
         require(start[:4] == b"LASF", path, "a LAS file, which starts with 'LASF'", excerpt(start[:4]))
         require(len(start) >= _OLD_HEADER, path, f"a header of {_OLD_HEADER} bytes or more", f"{len(start)}")
+        _check_chunks(path, file, start, size)
         (records,) = struct.unpack_from("<I", start, 100)
         require(records * _RECORD <= size, path, f"{records} records after the header", f"a file of {size} bytes")
         if start[25] < 4 or len(start) < _HEADER:
@@ -78,10 +81,29 @@ def _check_sizes(path: Path) -> None:
             place += _EXTENDED_RECORD + length
 
 
+def _check_chunks(path: Path, file: BinaryIO, start: bytes, size: int) -> None:
+    """Raise ``CloudFileError`` for more compressed chunks than the file has room for: lazrs ends the process."""
+    (offset,) = struct.unpack_from("<I", start, 96)
+    if not start[104] & _COMPRESSED or offset + 8 > size:
+        return
+    file.seek(offset)
+    (table,) = struct.unpack("<q", file.read(8))
+    if table == -1:  # written as a stream: its place stands last
+        file.seek(size - 8)
+        (table,) = struct.unpack("<q", file.read(8))
+    require(0 <= table <= size - 8, path, f"a table of chunks within {size} bytes", f"one at byte {table}")
+    file.seek(table + 4)
+    (chunks,) = struct.unpack("<I", file.read(4))
+    (length,) = struct.unpack_from("<H", start, 105)
+    fits = chunks * max(length, 1) <= size  # each begins with a whole point
+    require(fits, path, f"{chunks} chunks of compressed points", f"a file of {size} bytes")
+
+
 def _chunks(path: Path, laspy: Any, declared: int, dimensions: set[str]) -> Iterator[CloudRows]:  # noqa: ANN401
     rows = 0
-    with refusing(path, _KIND), laspy.open(path) as file:
-        for points in file.chunk_iterator(CHUNK_ROWS):
+    with refusing(path, _KIND), laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
+        size = max(1, min(CHUNK_ROWS, declared, _CHUNK_BYTES // file.header.point_format.size))
+        for points in file.chunk_iterator(size):
             xyz = np.stack([np.asarray(axis, dtype=np.float64) for axis in (points.x, points.y, points.z)], axis=1)
             colors = None
             if "red" in dimensions:
