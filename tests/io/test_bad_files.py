@@ -48,7 +48,7 @@ def test_missing_folder_empty_and_unknown(tmp_path):
     assert refused(tmp_path / "b.ply").endswith("expected a file, got a folder")
     assert "empty" in refused(made(tmp_path, "c.ply", ""))
     assert "ends in .ply, .pcd, " in refused(made(tmp_path, "d.jpg", "JPEG"))
-    assert "Autodesk ReCap, its maker's own: export" in refused(made(tmp_path, "d.RCP", "RCP"))
+    assert "Autodesk ReCap's own: export" in refused(made(tmp_path, "d.RCP", "RCP"))
     os.mkfifo(tmp_path / "e.ply")
     assert "a device or pipe" in refused(tmp_path / "e.ply")
     assert refused(tmp_path / ("x" * 300 + ".ply"))
@@ -119,18 +119,18 @@ def test_coordinates_that_no_survey_has(tmp_path):
     assert "expected coordinates up to 1e+12 m, got 1e+300" in refused(path)
 
 
-def test_colors_of_several_types_or_out_of_range(tmp_path):
-    columns = COLUMNS | {"green": np.arange(10, dtype="u2")}
-    assert "red, green, blue of one type" in refused(write_ply(tmp_path / "a.ply", columns))
-    columns = named(XYZ, POINTS, "f4") | named(RGB, POINTS - 5, "f4")
-    assert "float colors" in refused(write_ply(tmp_path / "a.ply", columns))
-
-
-@pytest.mark.parametrize("word", ["a", "1,5", "", "300", "-1", "1.5", "nan", "1 2"])
-def test_text_that_is_not_what_the_header_declares(tmp_path, word):
+@pytest.mark.parametrize("word", ["a", "1,5", "", "1 2"])
+def test_text_that_is_no_row_of_numbers(tmp_path, word):
     path = write_ply(tmp_path / "a.ply", COLUMNS, "ascii")
     path.write_bytes(path.read_bytes().replace(b" 12 13 14", f" 12 {word} 14".encode()))
     refused(path)
+
+
+@pytest.mark.parametrize("word", ["1.5", "nan", "40000"])
+def test_coordinates_that_are_not_what_the_header_declares(tmp_path, word):
+    path = write_ply(tmp_path / "a.ply", named(XYZ, POINTS, "i2"), "ascii")
+    path.write_bytes(path.read_bytes().replace(b"\n12 13 14", f"\n12 {word} 14".encode()))
+    assert f"expected y of type int16, as its header declares, got {word} at point 4" in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -138,17 +138,22 @@ def test_text_that_is_not_what_the_header_declares(tmp_path, word):
     [
         f"{PLY_HEAD}{PLY_XYZ}",
         f"ply\nelement vertex 1\n{PLY_XYZ}end_header\n1 2 3\n",
-        f"{PLY_HEAD}{PLY_XYZ.replace('float', 'half')}end_header\n1 2 3\n",
-        f"{PLY_HEAD}{PLY_XYZ}property list uchar int ids\nend_header\n1 2 3 1 1\n",
+        f"{PLY_HEAD}{PLY_XYZ}property list uchar int ids\nend_header\n1 2 3 2 1\n",
+        f"{PLY_HEAD}{PLY_XYZ}property list float int ids\nend_header\n1 2 3 1 1\n",
+        f"{PLY_HEAD}format ascii 1.0\n{PLY_XYZ}end_header\n1 2 3\n",
+        f"{PLY_HEAD}property quad x\n{PLY_XYZ}end_header\n1 2 3 4\n",
         f"{PLY_HEAD.replace('ascii', 'binary_middle_endian')}{PLY_XYZ}end_header\n1 2 3\n",
         f"{PLY_HEAD.replace('1.0', '2.0')}{PLY_XYZ}end_header\n1 2 3\n",
-        f"{PLY_HEAD.replace('vertex', 'point')}{PLY_XYZ}end_header\n1 2 3\n",
+        f"{PLY_HEAD.replace('vertex', 'point')}{PLY_XYZ.replace('z', 'w')}end_header\n1 2 3\n",
+        "ply\nformat ascii 1.0\n"
+        + "element face 999999999999999\n" * 9300
+        + f"element vertex 1\n{PLY_XYZ}end_header\n",
         f"ply\nformat ascii 1.0\n{PLY_XYZ}end_header\n1 2 3\n",
         f"{PLY_HEAD}end_header\n1 2 3\n",
         f"{PLY_HEAD}{PLY_XYZ}nonsense\nend_header\n1 2 3\n",
         "ply\nformat ascii 1.0\n" + "comment x\n" * 200_000,
         "ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uchar int ids\n"
-        f"element vertex 1\n{PLY_XYZ}end_header\n" + "\0" * 40,
+        f"element vertex 1\n{PLY_XYZ}end_header\n" + "\3" * 16,
     ],
 )
 def test_ply_headers(tmp_path, header):
@@ -166,9 +171,6 @@ def test_ply_headers(tmp_path, header):
         ("POINTS 1", "POINTS 2"),
         ("WIDTH 1\nHEIGHT 1\nPOINTS 1\n", ""),
         ("HEIGHT 1", "HEIGHT 1\nHEIGHT 1"),
-        ("HEIGHT 1", "HEIGHT 1\nVIEWPOINT 1 2 3"),
-        ("HEIGHT 1", "HEIGHT 1\nVIEWPOINT a 0 0 1 0 0 0"),
-        ("HEIGHT 1", "HEIGHT 1\nVIEWPOINT nan 0 0 1 0 0 0"),
         ("DATA ascii", "DATA zip"),
         ("DATA ascii\n1 2 3\n", ""),
         ("FIELDS x y z\n", ""),

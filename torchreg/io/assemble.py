@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.io.placement import Scanner, choose_origin, place_scanner
+from torchreg.io.placement import FARTHEST_COORDINATE, Scanner, choose_origin, place_scanner
 from torchreg.types import Clouds
 
-FARTHEST_COORDINATE = 1e12  # meters; beyond it the bytes are no coordinates
 _SLACK = 1e-3  # a float color may exceed [0, 1] by this much and is cut off
 _LEAST_BRIGHT = 16.0  # floats whose largest lies from here to 255 are 8-bit values
 
@@ -117,7 +116,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         dtype: of points, colors, normals and viewpoint.
 
     Raises:
-        ValueError: not one finite point, colors out of range, coordinates that no survey has.
+        ValueError: not one finite point, coordinates that no survey has.
     """
     finite = np.isfinite(raw.points).all(axis=1)  # (N,)
     expect(bool(finite.any()), raw.name, "at least one finite point", f"none among {len(finite)}")
@@ -127,7 +126,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         raise ValueError(f"{raw.name}: expected coordinates up to {FARTHEST_COORDINATE:g} m, got {largest:g}")
     shift = choose_origin(points)
     scanner = place_scanner(viewpoint, raw.scanner, points, raw.origin)
-    scaled = _scaled_colors(raw, finite)
+    scaled = _unless_of_one_color(_scaled_colors(raw, finite))
     normals, normal_notes = _unit_normals(None if raw.normals is None else raw.normals[finite])
     position = None if scanner.position is None else (scanner.position - shift)[None]  # (1, 3)
     cloud = Clouds(
@@ -175,58 +174,80 @@ def _scaled_colors(raw: RawCloud, finite: NDArray[Any]) -> ScaledColors:
     if raw.colors is None:
         return ScaledColors(None, "", ())
     colors = raw.colors[finite]
-    return ScaledColors(colors, raw.color_depth, ()) if raw.color_depth else scale_colors(colors, raw.name)
+    return ScaledColors(colors, raw.color_depth, ()) if raw.color_depth else scale_colors(colors)
 
 
-def scale_colors(colors: NDArray[Any], name: str) -> ScaledColors:
+def scale_colors(colors: NDArray[Any]) -> ScaledColors:
     """Scale colors to [0, 1] by their dtype; by their largest value where the dtype does not tell.
 
-    ========================  ==============================================================
-    uint8                     / 255
-    uint16                    / 65535
-    other integers            / 255 up to 255, / 65535 up to 65535
-    floats up to 1            as they are
-    floats from 16 to 255     / 255 (the largest counts: averages of 8-bit colors)
-    anything else             refused: negative values, floats with a maximum in (1, 16) or above 255
-    ========================  ==============================================================
+    ==============================  ========================================================
+    uint8                           / 255
+    uint16                          / 65535
+    other integers                  / 255 up to 255, / 65535 up to 65535
+    floats up to 1                  as they are
+    floats from 16 to 255           / 255 (the largest counts: averages of 8-bit colors)
+    whole floats from 256 to 65535  / 65535
+    anything else                   no colors, and a note: negative values, other floats
+    ==============================  ========================================================
 
     A color with NaN or infinity becomes black, which has no hue.
 
     Args:
         colors: (N, 3) integers or floats.
-        name: how the message calls them.
-
-    Raises:
-        ValueError: values out of these ranges.
     """
     if colors.dtype.kind in "iu":
-        return _scale_integers(colors, name)
+        return _scale_integers(colors)
+    with np.errstate(over="ignore"):  # of long doubles
+        colors = colors.astype(np.float64)
     finite = np.isfinite(colors).all(axis=1)  # (N,)
     if not finite.any():
-        return ScaledColors(None, "float", ("not one color is a finite number: read without colors",))
-    values = np.where(finite[:, None], colors, 0).astype(np.float64)
+        return ScaledColors(None, "float", ("read without colors: not one of them is a finite number",))
+    values = np.where(finite[:, None], colors, 0)
     low, high = float(values.min()), float(values.max())
-    is_unit = high <= 1 + _SLACK
-    is_byte = 255 >= high >= _LEAST_BRIGHT
-    expected = f"float colors from 0 to 1, or to 255 with a maximum of at least {_LEAST_BRIGHT:g}"
-    if not (low >= -_SLACK and (is_unit or is_byte)):
-        raise ValueError(f"{name}: expected {expected}, got {low:g} to {high:g}")
+    scale = _scale_of_floats(values, low, high)
+    if scale is None:
+        ranges = f"floats from 0 to 1, or to 255 with a maximum of at least {_LEAST_BRIGHT:g}"
+        return ScaledColors(None, "float", (f"read without colors: expected {ranges}, got {low:g} to {high:g}",))
     lost = len(finite) - int(finite.sum())
     notes = [f"{lost} colors are not finite and were made black"] * (lost > 0)
-    if is_byte:
-        notes.append(f"float colors up to {high:g} were taken for 8-bit values and divided by 255")
-    return ScaledColors(np.clip(values / (255 if is_byte else 1), 0, 1), "float", tuple(notes))
+    if scale > 1:
+        bits = 8 if scale == 255 else 16
+        notes.append(f"float colors up to {high:g} were taken for {bits}-bit values and divided by {scale}")
+    return ScaledColors(np.clip(values / scale, 0, 1), "float", tuple(notes))
 
 
-def _scale_integers(colors: NDArray[Any], name: str) -> ScaledColors:
+def _scale_of_floats(values: NDArray[Any], low: float, high: float) -> int | None:
+    """What float colors are divided by; ``None`` where that is not plain."""
+    if low < -_SLACK:
+        return None
+    if high <= 1 + _SLACK:
+        return 1
+    if _LEAST_BRIGHT <= high <= 255:
+        return 255
+    is_wide = 255 < high <= 65535 and bool((values == np.floor(values)).all())
+    return 65535 if is_wide else None
+
+
+def _scale_integers(colors: NDArray[Any]) -> ScaledColors:
     low, high = int(colors.min()), int(colors.max())
     if low < 0 or high > 65535:
-        raise ValueError(f"{name}: expected integer colors from 0 to 255 or 65535, got {low} to {high}")
+        note = f"read without colors: expected integers from 0 to 255 or 65535, got {low} to {high}"
+        return ScaledColors(None, "", (note,))
     is_wide = colors.dtype == np.uint16 or high > 255
     notes: tuple[str, ...] = ()
     if is_wide and high <= 255:
         notes = (f"16-bit colors reach only {high} of 65535: very dark, unless they are 8-bit values",)
     return ScaledColors(colors / (65535.0 if is_wide else 255.0), "uint16" if is_wide else "uint8", notes)
+
+
+def _unless_of_one_color(scaled: ScaledColors) -> ScaledColors:
+    """No colors where several points have the same: they say nothing that the points do not."""
+    values = scaled.values
+    if values is None or len(values) < 2 or bool((values != values[0]).any()):
+        return scaled
+    red, green, blue = np.round(values[0] * 255).astype(int).tolist()
+    note = f"read without colors: every point has the same, {red} {green} {blue} of 255"
+    return ScaledColors(None, scaled.depth, (*scaled.notes, note))
 
 
 def _unit_normals(normals: NDArray[Any] | None) -> tuple[NDArray[Any] | None, tuple[str, ...]]:

@@ -38,6 +38,8 @@ def read_cloud(
     and other national grids), it is rounded to meters and kept as ``origin``; ordinary scans keep origin 0.
     Points with NaN or infinity are dropped. Colors become [0, 1] whatever their depth, normals unit length.
     A scan with a pose (E57, PTX) has it applied: its points are in the frame of the file.
+    Colors that cannot be used never cost the points: the cloud is read without them, which a note of
+    ``read_cloud_report`` says, and so it is where every point has the same color.
 
     Args:
         path: a file whose name ends in one of ``CLOUD_SUFFIXES``.
@@ -61,8 +63,8 @@ def read_cloud(
         A batch of one cloud on the CPU; its viewpoint is relative to its origin, and known or assumed as above.
 
     Raises:
-        CloudFileError: the file is missing, of another kind, cut short, contradicts itself, holds colors
-            or coordinates that cannot be meant, or several scans of which none is chosen.
+        CloudFileError: the file is missing, of another kind, cut short, contradicts itself, holds
+            coordinates that cannot be meant, or several scans of which none is chosen.
         ValueError: an option is none of these.
 
     Example:

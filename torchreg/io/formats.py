@@ -85,19 +85,6 @@ CLOUD_SUFFIXES = tuple(READERS)
 AMBIGUOUS_SUFFIXES = (".txt", ".csv")
 """Suffixes of clouds and of other files too: a pattern means clouds where it ends so itself."""
 
-_CLOSED = "its maker's own: export the cloud from there as E57 or LAS"
-UNREADABLE = {
-    **dict.fromkeys((".rcp", ".rcs"), f"Autodesk ReCap, {_CLOSED}"),
-    **dict.fromkeys((".fls", ".fws", ".lsproj"), f"FARO, {_CLOSED}"),
-    **dict.fromkeys((".zfs", ".zfprj"), f"Zoller + Froehlich, {_CLOSED}"),
-    **dict.fromkeys((".rdb", ".rdbx", ".3dd", ".rxp"), f"RIEGL, {_CLOSED}"),
-    **dict.fromkeys((".imp", ".lgs", ".lgsx"), f"Leica, {_CLOSED}"),
-    **dict.fromkeys((".tzf", ".tzs"), f"Trimble, {_CLOSED}"),
-    ".bin": "CloudCompare's own: save the cloud there as PLY, E57 or LAS",
-    ".pod": "Bentley's own: export the cloud from there as E57 or LAS",
-}
-"""Formats of clouds that are not read, and what to do with such a file."""
-
 
 def alternatives(suffixes: Iterable[str]) -> str:
     """Suffixes in words, such as ".ply, .pcd or .npz"."""

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchreg.errors import expect
-from torchreg.io.assemble import RawCloud, assemble, checked_dtype
+from torchreg.io.assemble import RawCloud, assemble, checked_dtype, scale_colors
 from torchreg.io.placement import Viewpoint, checked_viewpoint
 from torchreg.open3d_loader import load_open3d
 from torchreg.types import Clouds
@@ -20,8 +20,8 @@ _Array = NDArray[Any]
 def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype = torch.float32) -> Clouds:  # noqa: ANN401
     """Make a batch of one from an Open3D cloud; row i stays row i.
 
-    Origin, colors, normals and viewpoint follow the rules of ``read_cloud``. An Open3D cloud says nothing of its
-    viewpoint, so that "auto" only assumes one; "origin" and a position are known.
+    Origin, colors, normals and viewpoint follow the rules of ``read_cloud``, but colors out of range are refused. An
+    Open3D cloud says nothing of its viewpoint, so that "auto" only assumes one; "origin" and a position are known.
 
     Args:
         pcd: an ``open3d.geometry.PointCloud`` or ``open3d.t.geometry.PointCloud``.
@@ -42,6 +42,8 @@ def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype =
     expect(len(points) > 0, "pcd", "at least one point", "none")
     bad = int((~np.isfinite(points).all(axis=1)).sum())
     expect(bad == 0, "pcd", "finite points", f"{bad} of {len(points)} with NaN or infinity")
+    usable = colors is None or scale_colors(colors).values is not None
+    expect(usable, "pcd", "colors from 0 to 1, or of 8 or 16 bits", "others")
     raw = RawCloud(name="pcd", format="open3d", points=points, colors=colors, normals=normals)
     return assemble(raw, wanted, dtype).cloud
 

@@ -1,31 +1,38 @@
-"""PCD 0.6 and 0.7: a header of fields, then the points as text, packed records or LZF-compressed columns."""
+"""PCD 0.5 to 0.7: a header of fields, then the points as text, packed records or LZF-compressed columns.
+
+The header is read as PCL reads it: TYPE and DATA in either case, fields without SIZE or TYPE as floats of four bytes,
+unknown keys ignored.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import lzf
 import numpy as np
 
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
+from torchreg.io.column_colors import PACKED_COLORS, are_numbers
 from torchreg.io.columns import (
-    PACKED_COLORS,
     Column,
     Columns,
+    columns_of_lines,
+    lines_of_rows,
     raw_from_columns,
-    read_ascii,
     read_binary,
-    record_dtype,
+    record_size,
     surplus,
+    take,
 )
+from torchreg.io.header_lines import header_lines
 from torchreg.io.placement import Scanner, scanner_of_file
 
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-_TYPES = {("F", "4"), ("F", "8"), *((kind, size) for kind in "UI" for size in "1248")}
+_ENCODINGS = ("ascii", "binary", "binary_compressed")
+_TYPES = {*(("F", size) for size in "248"), *((kind, size) for kind in "UI" for size in "1248")}
 _LONGEST_HEADER = 1 << 16  # bytes
 _LARGEST_RATIO = 88  # the longest reference of LZF: 264 bytes from 3
 
@@ -37,6 +44,7 @@ class _PcdHeader:
     rows: int
     scanner: Scanner | None
     size: int  # bytes, up to the first point
+    notes: tuple[str, ...]
 
 
 def read_pcd(path: Path) -> Iterator[RawCloud]:
@@ -46,47 +54,50 @@ def read_pcd(path: Path) -> Iterator[RawCloud]:
         CloudFileError: not a PCD file, a header that is wrong or that promises more than the file holds,
             no x, y, z, or no points.
     """
-    with path.open("rb") as file:
-        header = _read_header(file, path)
+    header = _read_header(path)
     require(header.rows > 0, path, "at least one point", "0")
     notes: tuple[str, ...] = ()
     if header.encoding == "ascii":
-        columns = read_ascii(path, header.columns, header.rows, header.size)
-        notes = _pack_text_colors(columns, header.columns)
+        lines = lines_of_rows(path, header.rows, header.size)
+        columns, notes = columns_of_lines(path, header.columns, lines)
+        notes += _pack_text_colors(columns, header.columns)
     elif header.encoding == "binary":
         columns = read_binary(path, header.columns, header.rows, header.size)
         notes = surplus(path, header.columns, header.rows, header.size)
     else:
         columns = _read_compressed(path, header.columns, header.rows, header.size)
-    yield raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.scanner, notes)
+    yield raw_from_columns(str(path), f"pcd {header.encoding}", columns, header.scanner, (*header.notes, *notes))
 
 
-def _read_header(file: BinaryIO, path: Path) -> _PcdHeader:
+def _read_header(path: Path) -> _PcdHeader:
     lines: dict[str, list[str]] = {}
-    while "DATA" not in lines:
-        line = file.readline(_LONGEST_HEADER)
-        words = line.decode("latin-1").split()
-        require(line.endswith(b"\n"), path, "a PCD header, which ends with a line 'DATA'", excerpt(line))
-        if not words or words[0].startswith("#"):
-            continue
-        key = "FIELDS" if words[0] == "COLUMNS" else words[0]
-        require(key in _KEYS and key not in lines, path, "a line of a PCD header", excerpt(line))
-        lines[key] = words[1:]
-        require(file.tell() < _LONGEST_HEADER, path, "a PCD header of a few lines", "64 KiB without 'DATA'")
-    encoding = " ".join(lines["DATA"])
-    known = ("ascii", "binary", "binary_compressed")
-    require(encoding in known, path, "DATA " + " or ".join(known), excerpt(encoding))
-    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), _scanner(lines, path), file.tell())
+    for line in header_lines(path, _LONGEST_HEADER):
+        key = line.words[0].upper() if line.words else ""
+        key = "FIELDS" if key == "COLUMNS" else key
+        if key in _KEYS:
+            require(key not in lines, path, f"one line {key} in a PCD header", excerpt(" ".join(line.words)))
+            lines[key] = line.words[1:]
+        if key == "DATA":
+            break
+    else:
+        refuse(path, "a PCD header, which ends with a line 'DATA'", "none in its first 64 KiB")
+    encoding = " ".join(lines["DATA"]).lower()
+    require(encoding in _ENCODINGS, path, "DATA " + " or ".join(_ENCODINGS), excerpt(encoding))
+    scanner, notes = _scanner(lines)
+    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), scanner, line.end, notes)
 
 
 def _columns(lines: dict[str, list[str]], path: Path) -> list[Column]:
-    fields, sizes, types = (lines.get(key, []) for key in ("FIELDS", "SIZE", "TYPE"))
+    fields = lines.get("FIELDS", [])
+    sizes = lines.get("SIZE", ["4"] * len(fields))
+    types = lines.get("TYPE", ["F" if size in ("4", "8") else "U" for size in sizes])
     counts = lines.get("COUNT", ["1"] * len(fields))
     lengths = [len(fields), len(sizes), len(types), len(counts)]
     equal = len(fields) > 0 and len(set(lengths)) == 1
     require(equal, path, "as many FIELDS as SIZE, TYPE, COUNT", str(lengths))
     columns = []
     for name, size, kind, text in zip(fields, sizes, types, counts, strict=True):
+        kind = kind.upper()
         require((kind, size) in _TYPES, path, f"a TYPE and SIZE for {name} such as F 4", f"{kind} {size}")
         count = count_of(text, path, f"the COUNT of {name}")
         require(1 <= count <= 1 << 20, path, f"a COUNT of {name} from 1 to 2^20", text)
@@ -105,15 +116,16 @@ def _rows(lines: dict[str, list[str]], path: Path) -> int:
     return points
 
 
-def _scanner(lines: dict[str, list[str]], path: Path) -> Scanner | None:
+def _scanner(lines: dict[str, list[str]]) -> tuple[Scanner | None, tuple[str, ...]]:
+    """The position that VIEWPOINT gives, zero being its default, and a note where it gives none."""
     words = lines.get("VIEWPOINT", ["0"] * 7)
     try:
-        position = np.array([float(word) for word in words])[:3]
+        position = np.array([float(word) for word in words])
     except ValueError:
         position = np.zeros(0)
-    fits = len(words) == 7 and len(position) == 3 and bool(np.isfinite(position).all())
-    require(fits, path, "7 numbers after VIEWPOINT", excerpt(" ".join(words)))
-    return scanner_of_file(position, assumed=False) if position.any() else None
+    if len(position) != 7:
+        return None, (f"the header's VIEWPOINT is no seven numbers and was ignored: {excerpt(' '.join(words))}",)
+    return (scanner_of_file(position[:3], assumed=False) if position[:3].any() else None), ()
 
 
 def _pack_text_colors(columns: Columns, declared: list[Column]) -> tuple[str, ...]:
@@ -126,7 +138,8 @@ def _pack_text_colors(columns: Columns, declared: list[Column]) -> tuple[str, ..
             known = np.isfinite(values)
             lost += int((~known & np.isfinite(columns.get("x", values))).sum())
             with np.errstate(over="ignore"):
-                columns[name] = np.where(known, values, 0).astype(dtypes[name].newbyteorder("="))
+                values = np.where(known, values, 0)
+                columns[name] = values if are_numbers(values) else values.astype(dtypes[name].newbyteorder("="))
     return (f"{lost} packed colors are no numbers and were made black",) * (lost > 0)
 
 
@@ -142,7 +155,7 @@ def _read_compressed(path: Path, columns: Sequence[Column], rows: int, offset: i
         body = file.read()
     require(len(body) >= 8, path, "8 bytes with the sizes of the compressed points", f"{len(body)} bytes")
     packed, full = (int(size) for size in np.frombuffer(body, "<u4", count=2))
-    wanted = rows * record_dtype(columns).itemsize
+    wanted = rows * record_size(columns, path)
     require(full == wanted, path, f"{wanted} bytes when uncompressed, as its header declares", f"{full}")
     require(packed <= len(body) - 8, path, f"{packed} compressed bytes", f"{len(body) - 8}")
     possible = full <= packed * _LARGEST_RATIO  # before LibLZF takes memory for them
@@ -157,7 +170,6 @@ def _read_compressed(path: Path, columns: Sequence[Column], rows: int, offset: i
     start = 0
     for column in columns:
         values = np.frombuffer(plain, column.dtype, count=rows * column.count, offset=start)
-        first = values.reshape(rows, column.count)[:, 0]
-        by_name.setdefault(column.name.lower(), first.astype(column.dtype.newbyteorder("=")))
+        take(by_name, column, values.reshape(rows, column.count))
         start += values.nbytes
     return by_name

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchreg.errors import expect
 from torchreg.types import Clouds
 
+FARTHEST_COORDINATE = 1e12  # meters; beyond it the bytes are no coordinates
 FAR_COORDINATE = 1000.0  # meters; float32 keeps 0.03 mm at this distance from zero
 FAR_VIEWPOINT = 10.0  # diagonals of the bounding box between it and the frame's origin
 
@@ -88,9 +89,15 @@ def place_scanner(
 
 
 def scanner_of_file(position: NDArray[Any], *, assumed: bool) -> Scanner:
-    """What a file says of its scanner: a position (3,), NaN where that is not known, and whether it is a guess."""
+    """What a file says of its scanner: a position (3,), NaN where that is not known, and whether it is a guess.
+
+    A position where no coordinate can be is none.
+    """
     if not np.isfinite(position).all():
         return Scanner(None, "none: not known, as the file says")
+    farthest = float(np.abs(position).max())
+    if farthest > FARTHEST_COORDINATE:
+        return Scanner(None, f"none: the file's lies {farthest:.3g} m away")
     return Scanner(position, "assumed, as the file says" if assumed else "the file", assumed)
 
 

@@ -7,7 +7,6 @@ zeros, leaves 16-bit colors out and writes past its buffers where x, y, z (or th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,68 +15,40 @@ import torch
 from numpy.typing import NDArray
 
 from torchreg.io.assemble import RawCloud
-from torchreg.io.checks import count_of, excerpt, refuse, require
-from torchreg.io.columns import Column, raw_from_columns, read_ascii, read_binary, record_dtype, surplus
-from torchreg.io.placement import FAR_COORDINATE, Scanner, scanner_of_file, viewpoint_or_nan
+from torchreg.io.checks import require
+from torchreg.io.columns import (
+    Columns,
+    columns_of_lines,
+    lines_of_rows,
+    raw_from_columns,
+    read_binary,
+    record_size,
+    surplus,
+)
+from torchreg.io.placement import FAR_COORDINATE, viewpoint_or_nan
+from torchreg.io.ply_header import ASSUMED_COMMENT, KNOWN_COMMENT, PlyElement, PlyHeader, read_header, vertices_of
+from torchreg.io.ply_lists import ListRows, columns_of_list_lines
 from torchreg.io.splats import holds_splats, raw_from_splats
 from torchreg.types import Clouds
 
-BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-# "comment viewpoint x y z": where the scanner stood, or is assumed to have stood; write_cloud leaves one of them
-KNOWN_COMMENT, ASSUMED_COMMENT = "viewpoint", "viewpoint_assumed"
-_LONGEST_HEADER = 1 << 20  # bytes
-_TYPES = {
-    **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
-    **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
-    **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
-}
-
-
-@dataclass
-class _Element:
-    name: str
-    rows: int
-    columns: list[Column] = field(default_factory=list)
-    has_list: bool = False
-
-
-@dataclass
-class _PlyHeader:
-    encoding: str = ""
-    elements: list[_Element] = field(default_factory=list)
-    scanner: Scanner | None = None
-    size: int = 0  # bytes, up to the first row
-
 
 def read_ply(path: Path) -> Iterator[RawCloud]:
-    """Read the element "vertex" of a PLY file; elements before it are skipped, those after it ignored.
+    """Read the element "vertex" of a PLY file, or where there is none, the first with x, y, z.
+
+    Other elements and lists are skipped.
 
     Raises:
         CloudFileError: not a PLY file, a header that is wrong or that promises more than the file holds,
-            no x, y, z, no vertices, or lists among or (in a binary file) before the vertices.
+            no x, y, z, or no vertices.
     """
-    with path.open("rb") as file:
-        header = _read_header(file, path)
-    names = [element.name for element in header.elements]
-    require("vertex" in names, path, "an element 'vertex' in its header", ", ".join(names) or "no element")
-    before = header.elements[: names.index("vertex")]
-    vertex = header.elements[len(before)]
+    header = read_header(path)
+    place, notes = vertices_of(header, path)
+    before, vertex = header.elements[:place], header.elements[place]
     require(vertex.rows > 0, path, "at least one vertex", "0")
-    require(not vertex.has_list, path, "vertices of single numbers", "a list property among them")
     require(len(vertex.columns) > 0, path, "the properties x, y, z", "none")
-    notes: tuple[str, ...] = ()
-    if header.encoding == "ascii":
-        skip = sum(element.rows for element in before)
-        columns = read_ascii(path, vertex.columns, vertex.rows, header.size, skip)
-    else:
-        listed = next((element.name for element in before if element.has_list), None)
-        require(listed is None, path, "no lists before the vertices", f"the element {listed!r} with a list")
-        skip = sum(element.rows * record_dtype(element.columns).itemsize for element in before)
-        columns = read_binary(path, vertex.columns, vertex.rows, header.size + skip)
-        if vertex is header.elements[-1]:
-            notes = surplus(path, vertex.columns, vertex.rows, header.size + skip)
+    columns, more = (_text_rows if header.encoding == "ascii" else _binary_rows)(path, header, before, vertex)
     make = raw_from_splats if holds_splats(columns) else raw_from_columns
-    yield make(str(path), f"ply {header.encoding}", columns, header.scanner, notes)
+    yield make(str(path), f"ply {header.encoding}", columns, header.scanner, (*notes, *more))
 
 
 def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
@@ -112,48 +83,24 @@ def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
     file.write(table.tobytes())
 
 
-def _read_header(file: BinaryIO, path: Path) -> _PlyHeader:
-    first = file.readline(80)
-    require(first.strip() == b"ply", path, "a PLY file, which starts with the line 'ply'", excerpt(first))
-    header = _PlyHeader()
-    while file.tell() < _LONGEST_HEADER:
-        line = file.readline(_LONGEST_HEADER)
-        words = line.decode("latin-1").split()
-        if not line.endswith(b"\n"):
-            break
-        if words == ["end_header"]:
-            require(header.encoding != "", path, "a line 'format' in its header", "none")
-            header.size = file.tell()
-            return header
-        _take_line(header, words, path)
-    return refuse(path, "a line 'end_header' in its first megabyte", "none")
+def _text_rows(
+    path: Path, header: PlyHeader, before: list[PlyElement], vertex: PlyElement
+) -> tuple[Columns, tuple[str, ...]]:
+    lines = lines_of_rows(path, vertex.rows, header.size, sum(element.rows for element in before))
+    if vertex.has_list:
+        return columns_of_list_lines(path, vertex, lines)
+    return columns_of_lines(path, vertex.columns, lines)
 
 
-def _take_line(header: _PlyHeader, words: list[str], path: Path) -> None:
-    match words:
-        case [] | ["obj_info", *_]:
-            pass
-        case ["comment", word, *numbers] if word in (KNOWN_COMMENT, ASSUMED_COMMENT) and len(numbers) == 3:
-            header.scanner = _scanner(numbers, assumed=word == ASSUMED_COMMENT)
-        case ["comment", *_]:
-            pass
-        case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS:
-            header.encoding = encoding
-        case ["element", name, rows]:
-            header.elements.append(_Element(name, count_of(rows, path, f"the number of elements {name!r}")))
-        case ["property", "list", _, _, _] if header.elements:
-            header.elements[-1].has_list = True
-        case ["property", kind, name] if kind in _TYPES and header.elements:
-            order = BYTE_ORDERS.get(header.encoding)
-            require(order is not None, path, "the line 'format' before the elements", "it comes later")
-            header.elements[-1].columns.append(Column(name, np.dtype(f"{order}{_TYPES[kind]}")))
-        case _:
-            refuse(path, "a line of a PLY 1.0 header", excerpt(" ".join(words)))
-
-
-def _scanner(words: list[str], *, assumed: bool) -> Scanner | None:
-    """The position that a comment gives; any other comment may start with the same word."""
-    try:
-        return scanner_of_file(np.array([float(word) for word in words]), assumed=assumed)
-    except ValueError:
-        return None
+def _binary_rows(
+    path: Path, header: PlyHeader, before: list[PlyElement], vertex: PlyElement
+) -> tuple[Columns, tuple[str, ...]]:
+    if any(element.has_list for element in (*before, vertex)):
+        rows = ListRows(path, header.size)
+        for element in before:
+            rows.skip(element)
+        return rows.read(vertex), ()
+    offset = header.size + sum(element.rows * record_size(element.columns, path) for element in before)
+    columns = read_binary(path, vertex.columns, vertex.rows, offset)
+    is_last = vertex is header.elements[-1]
+    return columns, surplus(path, vertex.columns, vertex.rows, offset) if is_last else ()

@@ -23,9 +23,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.io.assemble import FARTHEST_COORDINATE, RawCloud
+from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import count_of, excerpt, refuse, require
-from torchreg.io.placement import scanner_of_file
+from torchreg.io.placement import FARTHEST_COORDINATE, scanner_of_file
 from torchreg.io.stream import CHUNK_ROWS, ScanStream
 from torchreg.io.text_lines import Dialect, chunks_of_lines, numbers_of
 from torchreg.io.thin import CloudRows

@@ -14,11 +14,12 @@ import torch
 from torchreg.errors import CloudFileError, at_least, expect, positive
 from torchreg.io.assemble import CloudFile, RawCloud, assemble, checked_dtype
 from torchreg.io.checks import readable_file, refuse
-from torchreg.io.formats import COLUMN_READERS, READERS, UNREADABLE, Scan
+from torchreg.io.formats import COLUMN_READERS, READERS, Scan
 from torchreg.io.gray import with_gray_colors
 from torchreg.io.placement import Viewpoint, checked_viewpoint
 from torchreg.io.stream import Progress, ScanStream, Thinning, collect, in_meters, stream_of
 from torchreg.io.units import checked_units, meters_of, unit_note
+from torchreg.io.unreadable import refuse_suffix
 
 _NAMED_SCANS = 8  # that a message lists
 
@@ -69,12 +70,10 @@ def scans_of(path: str | os.PathLike[str], columns: str | None = None) -> list[S
     """
     file = readable_file(path)
     suffix = file.suffix.lower()
-    if suffix in UNREADABLE:
-        refuse(file, "a format that is open", f"{suffix}, {UNREADABLE[suffix]}")
     reader = READERS.get(suffix)
     if reader is None:
-        refuse(file, "a name that ends in " + ", ".join(READERS), repr(file.suffix))
-    with np.errstate(invalid="ignore"):  # a signaling NaN warns when it is cast
+        refuse_suffix(file, READERS)
+    with np.errstate(invalid="ignore", over="ignore"):  # a signaling NaN or a long double warns when it is cast
         if columns is None:
             return list(reader(file))
         named = COLUMN_READERS.get(suffix)

@@ -11,7 +11,8 @@ import math
 import numpy as np
 
 from torchreg.io.assemble import RawCloud
-from torchreg.io.columns import COLORS, Columns, raw_from_columns
+from torchreg.io.column_colors import CHANNELS
+from torchreg.io.columns import Columns, raw_from_columns
 from torchreg.io.placement import Scanner
 
 FAINT = 0.1
@@ -45,7 +46,7 @@ def raw_from_splats(
     harmonics = np.stack([columns[word] for word in _HARMONICS], axis=1).astype(np.float64)  # (N, 3)
     colors = 0.5 + _CONSTANT_HARMONIC * np.where(np.isfinite(harmonics), harmonics, 0)
     places: Columns = {word: columns[word][kept] for word in ("x", "y", "z") if word in columns}
-    places |= dict(zip(COLORS[0], np.clip(colors, 0, 1)[kept].T, strict=True))
+    places |= dict(zip(CHANNELS[0], np.clip(colors, 0, 1)[kept].T, strict=True))
     if faint:
         notes = (*notes, f"{faint:,} of {len(opacity):,} splats have an opacity below {FAINT:g} and were left out")
     return raw_from_columns(name, f"{kind}, Gaussian splats", places, scanner, notes)

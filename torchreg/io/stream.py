@@ -70,7 +70,7 @@ def stream_of(raw: RawCloud) -> ScanStream:
     """
     colors, depth, notes = raw.colors, raw.color_depth, raw.notes
     if colors is not None and depth is None:
-        colors, depth, more = scale_colors(colors, raw.name)
+        colors, depth, more = scale_colors(colors)
         notes = (*notes, *more)
     empty = np.empty((0, 3))
     head = replace(raw, points=empty, colors=None, normals=None, intensity=None, color_depth=depth, notes=notes)
