@@ -29,6 +29,7 @@ from torchreg.verification.length_ratios import LengthRatios, length_ratios
 _CLEARLY = 1.2  # times the support of the best rigid pose that a similarity needs
 _LOST = 4.0  # matches gained for one that only the rigid pose brings together
 _GAINED = 0.1  # of the matches
+_GAINED_SCALED = 0.05  # of the matches, by a factor
 _GAINED_TURNED = 0.05  # of the matches, where the best rigid pose puts surfaces back to back
 _MIRRORED = 0.15  # of the matches that a reflection needs; facades whose rigid pose is right have up to 0.1
 _PROMISING = 0.9  # of a support that would do: lengths imply somewhat less than there is
@@ -52,7 +53,7 @@ class RigidFit(NamedTuple):
 
     @property
     def gained(self) -> float:
-        """The share of the matches that a reflection or a similarity has to gain over this pose.
+        """The share of the matches that a reflection has to gain over this pose.
 
         A flat scene equals its mirror image but for what stands out of it. A rigid pose then turns it over, and
         surfaces that scanners saw from one side come to lie back to back: so less has to speak for the reflection.
@@ -108,7 +109,7 @@ def mirrored(
         return None
     fit = _Similarity(1.0, *pose)
     support = int(_inliers(through, target, threshold, fit).sum())
-    clear = _explains_more(through, target, threshold, fit, rigid, _MIRRORED_SURPRISE)
+    clear = _explains_more(through, target, threshold, fit, rigid, rigid.gained, _MIRRORED_SURPRISE)
     return Mirrored(support) if clear and support >= _MIRRORED * count else None
 
 
@@ -122,7 +123,7 @@ def scaled(source: Tensor, target: Tensor, threshold: float, rigid: RigidFit, ra
         return None
     fit = _refined(source, target, threshold, _Similarity(ratios.factor, *pose))
     support = int(_inliers(source, target, threshold, fit).sum())
-    clear = _explains_more(source, target, threshold, fit, rigid, _SCALED_SURPRISE)
+    clear = _explains_more(source, target, threshold, fit, rigid, _GAINED_SCALED, _SCALED_SURPRISE)
     if support < _CLEARLY * explained or not clear:
         return None
     deviation = _deviation(source, target, threshold, fit)
@@ -140,16 +141,22 @@ class _Similarity(NamedTuple):
 
 
 def _explains_more(
-    source: Tensor, target: Tensor, threshold: float, fit: _Similarity, rigid: RigidFit, above: float
+    source: Tensor,
+    target: Tensor,
+    threshold: float,
+    fit: _Similarity,
+    rigid: RigidFit,
+    least_gained: float,
+    above: float,
 ) -> bool:
-    """Whether a fit gains many matches, loses few that the rigid pose has, and agrees far beyond chance.
+    """Whether a fit gains that share of the matches, loses few that the rigid pose has, and agrees far beyond chance.
 
     A wrong rigid pose of a mirrored or scaled pair agrees where it equals the reflection, near a plane, or the
     similarity, about a point. A right one brings matches together that no reflection does.
     """
     inliers = _inliers(source, target, threshold, fit)
     gained, lost = int((inliers & ~rigid.inliers).sum()), int((rigid.inliers & ~inliers).sum())
-    if gained < max(rigid.gained * len(source), _LOST * lost):
+    if gained < max(least_gained * len(source), _LOST * lost):
         return False
     cells = match_cells(MatchEndpoints(source * fit.factor, target), threshold)
     surprise = float(agreement(cells, fit.rotation[None], fit.translation[None]).surprise[0])
