@@ -1,11 +1,12 @@
 """Units are told by extents and spacings together; a patch, a thinned cloud and a cloud of two densities pass."""
 
 import pytest
+import torch
 from problems import room_pair
 
 import torchreg as tr
 from torchreg.registration.inspect import facts_of, notes_on, refuse
-from torchreg.registration.units import Lengths, feet_note, rough_spacing, units_failure
+from torchreg.registration.units import Lengths, extents_note, feet_note, rough_spacing, units_failure
 
 ROOM = Lengths(6.0, 0.05)
 FACTORS = {1000.0: "millimeters", 304.8: "feet", 100.0: "centimeters", 39.37: "inches", 25.4: "inches"}
@@ -85,3 +86,30 @@ def test_the_notes_have_the_remark():
     (notes,) = notes_on(cloud, tr.Clouds(points=3.28 * cloud.points), (tr.PAPER,))
     assert notes[-1].endswith("feet beside meters?")
     assert facts_of(cloud)[0].lengths.spacing > 0
+
+
+def test_extents_that_differ_a_thousandfold_are_a_remark():
+    wide = times(ROOM, 1000.0, 1.0)
+    assert units_failure(ROOM, wide) is None
+    assert extents_note(ROOM, wide).startswith("the target spans 1e+03 times as much as the source, 6e+03 m beside 6 m")
+    assert extents_note(wide, ROOM).startswith("the source spans 1e+03 times")
+    assert extents_note(ROOM, times(ROOM, 990.0, 1.0)) == ""
+    assert extents_note(ROOM, Lengths(6000.0, 0.0)) == ""
+
+
+def test_a_point_far_off_is_remarked_on():
+    points = room_pair(600).source.points
+    cloud, stray = tr.Clouds(points=points), tr.Clouds(points=torch.cat([points, torch.full((1, 3), 1e5)]))
+    (notes,) = notes_on(stray, cloud, (tr.PAPER,))
+    assert notes[-1].startswith("the source spans ")
+
+
+@pytest.mark.parametrize("count", [120, 1200])
+def test_few_points_that_are_left_are_remarked_on(count):
+    pair = room_pair(count)
+    result = tr.register(pair.source, pair.target, effort="fast")
+    left = dict(zip(("source", "target"), result.stages[0].points, strict=True))
+    assert (max(left.values()) < 100) == (count == 120)
+    for name, points in left.items():
+        said = any(note.startswith(f"only {points} points of the {name} are left") for note in result.notes[0])
+        assert said == (points < 100)

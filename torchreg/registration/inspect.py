@@ -9,11 +9,12 @@ from typing import NamedTuple
 import torch
 
 from torchreg.registration.options import RegistrationOptions
-from torchreg.registration.units import Lengths, feet_note, rough_spacing, units_failure
+from torchreg.registration.units import Lengths, extents_note, feet_note, rough_spacing, units_failure
 from torchreg.types import Clouds, Failure
 from torchreg.types.packing import kept_rows
 
 _LEAST_POINTS = 4
+_FEW_POINTS = 100
 _FARTHEST = 1e15  # meters: squares stay finite in float32
 _MOST_VOXELS = 1e6  # a side: what voxels can be numbered by
 
@@ -110,12 +111,18 @@ def pair_notes(source: CloudFacts, target: CloudFacts, options: RegistrationOpti
         if facts.colors is not None and (facts.colors[0] < 0 or facts.colors[1] > 1):
             low, high = facts.colors
             notes.append(f"colors of the {name} from {low:.3g} to {high:.3g}: expected 0 to 1")
-    feet = feet_note(source.lengths, target.lengths)
-    if feet:
-        notes.append(feet)
+    lengths = source.lengths, target.lengths
+    notes += [note for note in (extents_note(*lengths), feet_note(*lengths)) if note]
     if options.voxel_size is not None:
         notes.append(f"downsampled to voxels of {options.voxel_size:.3g} m")
     return tuple(notes)
+
+
+def few_points_notes(points: tuple[int, int], options: RegistrationOptions) -> tuple[str, ...]:
+    """Remarks where so few points of a source and a target are left that hardly a pose follows from them."""
+    why = "" if options.voxel_size is None else f" after downsampling to voxels of {options.voxel_size:.3g} m"
+    sides = zip(("source", "target"), points, strict=True)
+    return tuple(f"only {count} points of the {name} are left{why}" for name, count in sides if 0 < count < _FEW_POINTS)
 
 
 def _facts(cloud: Clouds) -> CloudFacts:

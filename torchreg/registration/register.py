@@ -18,7 +18,7 @@ from torchreg.matching.mutual import match_mutual
 from torchreg.registration.decide import compared, look_again
 from torchreg.registration.describe import describe_thin, description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
-from torchreg.registration.inspect import pair_notes, refusal
+from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
 from torchreg.registration.recipes import Recipe, fused, recipes_of
@@ -152,12 +152,14 @@ def _find_poses(
         last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
         result = collect(source.cloud, target.cloud, last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
+    stages = _stage_counts(source, target, proposals)
+    few = [few_points_notes(counts.points, option) for counts, option in zip(stages, options, strict=True)]
     return replace(
         result,
         failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)),
         options=tuple(options),
-        notes=tuple(pair_notes(*both, option) for both, option in zip(facts, options, strict=True)),
-        stages=_stage_counts(source, target, proposals),
+        notes=tuple(pair_notes(*both, option) + more for both, option, more in zip(facts, options, few, strict=True)),
+        stages=stages,
     )
 
 

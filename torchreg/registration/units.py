@@ -25,6 +25,7 @@ _UNITS = {
 _FEET = 3.2808  # to a meter
 _TOLERANCE = 2.0  # by which either ratio may miss a factor: clouds of one place differ in extent and density
 _NEAR = 1.25  # likewise for feet, which mixed densities come close to
+_FAR_APART = 1000.0  # extents that no two clouds of one place have
 _SPACINGS = 20.0  # of the larger cloud that the smaller one spans at most: no setting registers so few
 
 _NEIGHBOR = 4
@@ -86,6 +87,17 @@ def feet_note(source: Lengths, target: Lengths) -> str:
     return (
         f"the {names[0]} is about {extent:.2g} times as large as the {names[1]}, and its points lie about "
         f"{spacing:.2g} times as far apart: feet beside meters?"
+    )
+
+
+def extents_note(source: Lengths, target: Lengths) -> str:
+    """A remark where one cloud spans a thousand times as much as the other, else empty."""
+    (ratio, _), names, sides = _ratios(source, target)
+    if ratio < _FAR_APART:
+        return ""
+    extents = f"{sides[0].extent:.3g} m beside {sides[1].extent:.3g} m"
+    return (
+        f"the {names[0]} spans {ratio:.3g} times as much as the {names[1]}, {extents}: another unit, or points far off?"
     )
 
 
