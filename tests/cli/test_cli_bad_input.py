@@ -130,7 +130,7 @@ BAD_WORDS = {
         ["check", "a.ply", "b.ply", "--feature-radius", "-1"],
         "--feature-radius: expected a finite number above 0, got -1.0",
     ),
-    "aligned": (["register", "a.ply", "b.ply", "--aligned", "a.las"], "--aligned"),
+    "aligned": (["register", "a.ply", "b.ply", "--aligned", "a.ptx"], "--aligned"),
     "no folder": (["register", "a.ply", "b.ply", "--json", "no/such/folder/r.json"], "--json"),
     "over an input": (["register", "a.ply", "b.ply", "--aligned", "./a.ply"], "--aligned"),
     "twice": (["register", "a.ply", "b.ply", "--json", "x", "--transform", "x"], "--transform"),

@@ -143,21 +143,38 @@ def read_scans(
 
 
 def write_cloud(path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None = None) -> None:
-    """Write one cloud as binary PLY or as npz, in full or not at all.
+    """Write one cloud to a file, in full or not at all; its format follows from the suffix.
 
-    PLY holds the coordinates with the origin added, in double precision where the cloud has an origin other
-    than zero, coordinates beyond 1 km, or float64 points; colors in 8 bits; the viewpoint in a comment that
-    ``read_cloud`` understands. npz holds the arrays as they are, the origin apart: nothing is rounded. Both keep
-    whether the viewpoint is known or assumed.
+    Coordinates are written in meters with the origin added. What comes back by ``read_cloud``:
+
+    ===============  ==========================================  =======  ========  ===============================
+    Suffix           Coordinates                                 Colors   Normals   Scanner
+    ===============  ==========================================  =======  ========  ===============================
+    .npz             exact, the origin apart                     exact    kept      kept
+    .ply             single precision; double beyond 1 km, with  8 bits   kept      kept, in a comment
+                     an origin or for float64 points
+    .pcd             single precision (0.03 mm); double beyond   8 bits   kept      kept, in a comment
+                     1 km or with an origin
+    .e57             double precision                            8 bits   kept      kept; as a pose where it is known
+    .xyz .txt .asc   as many digits as it takes                  8 bits   kept      kept, in a comment
+    .csv             as many digits as it takes                  8 bits   kept      left out
+    .las .laz        steps of 0.1 mm, finer for clouds below     16 bits  left out  left out
+                     100 m, coarser above 400 km
+    ===============  ==========================================  =======  ========  ===============================
+
+    A scanner that is kept comes back as known or assumed, or not known, as it was; where it is left out, reading
+    decides as for any such file. Normals are in single precision but in npz.
 
     Args:
-        path: a name that ends in ``.ply`` or ``.npz``.
+        path: a name that ends in one of these suffixes.
         cloud: a batch of one.
         T: (4, 4) rigid, ``T_to_from``, origins included; applied in float64 to points, normals and viewpoint
             first. With a result's ``T_target_source[0]`` this writes the source aligned to the target.
 
     Raises:
-        ValueError: another suffix, a batch of several clouds, a matrix that is not rigid, no such folder.
+        ValueError: another suffix, a batch of several clouds, a matrix that is not rigid, no such folder, points
+            that are not finite in LAS or LAZ.
+        CloudFileError: a package that writes the format is not installed.
     """
     writer = WRITERS.get(Path(path).suffix.lower())
     if writer is None:

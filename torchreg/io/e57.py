@@ -2,7 +2,7 @@
 
 A scan's points get its pose applied, in double precision. Where the pose has a translation, or the coordinates are
 spherical, the scanner is known: it stands at the zero of the scan's own frame. A scan without a pose is in the frame of
-the file already, and where its scanner stood is not known.
+the file already, and where its scanner stood is not known, unless the element that ``write_e57`` adds says so.
 
 ASTM E2807, Standard Specification for 3D Imaging Data Exchange.
 """
@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import refuse, require
+from torchreg.io.e57_writer import VIEWPOINT_ELEMENT, VIEWPOINT_PREFIX
 from torchreg.io.foreign import package, refusing
-from torchreg.io.placement import scanner_of_file
+from torchreg.io.placement import Scanner, scanner_of_file
 from torchreg.io.stream import CHUNK_ROWS, ScanStream
 from torchreg.io.thin import CloudRows
+from torchreg.io.viewpoint_line import scanner_of_line
 
 _KIND = "an E57 file that pye57 reads"
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
@@ -78,11 +80,12 @@ def _scan(path: Path, libe57: Any, file: Any, number: int) -> ScanStream:  # noq
     T = np.eye(4) if pose is None else pose
     moved = pose is not None and bool(pose[:3, 3].any())
     known = moved or fields.coordinates == _SPHERICAL
+    scanner = scanner_of_file(T[:3, 3].copy(), assumed=False) if known else None
     head = RawCloud(
         name=str(path),
         format=f"e57, scan {number}, {'spherical' if fields.coordinates == _SPHERICAL else 'cartesian'}",
         points=np.empty((0, 3)),
-        scanner=scanner_of_file(T[:3, 3].copy(), assumed=False) if known else None,
+        scanner=_written_scanner(file, scan) or scanner,
         scan=_text(scan, "name"),
         pose=pose,
     )
@@ -183,6 +186,14 @@ def _pose(path: Path, scan: Any) -> NDArray[Any] | None:  # noqa: ANN401
         T[:3, 3] = [_number(pose["translation"], name) for name in "xyz"]
     require(bool(np.isfinite(T).all()), path, "a finite pose", str(T[:3, 3].tolist()))
     return T
+
+
+def _written_scanner(file: Any, scan: Any) -> Scanner | None:  # noqa: ANN401
+    """The scanner that a file written here names; its prefix must be declared before it may be looked for."""
+    image = file.image_file
+    prefixes = {image.extensionsPrefix(k) for k in range(image.extensionsCount())}
+    text = _text(scan, VIEWPOINT_ELEMENT) if VIEWPOINT_PREFIX in prefixes else None
+    return scanner_of_line((text or "").split())
 
 
 def _white(scan: Any, prototype: Any) -> float | None:  # noqa: ANN401

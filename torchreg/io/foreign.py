@@ -21,7 +21,7 @@ def package(path: Path, name: str, extra: str) -> Any:  # noqa: ANN401
     try:
         return importlib.import_module(name)
     except ImportError:
-        refuse(path, f"the package {name}, which reads such files (pip install {extra})", "none of this name")
+        refuse(path, f"the package {name}, for such files (pip install {extra})", "none of this name")
 
 
 @contextmanager

@@ -14,14 +14,19 @@ from typing import BinaryIO
 import torch
 
 from torchreg.io.assemble import RawCloud
+from torchreg.io.capacity import USUAL, Capacity
 from torchreg.io.e57 import read_e57
+from torchreg.io.e57_writer import write_e57
 from torchreg.io.las import read_las
+from torchreg.io.las_writer import BRIGHTEST, las_step, write_las, write_laz
 from torchreg.io.npz import read_npz, write_npz
 from torchreg.io.pcd import read_pcd
+from torchreg.io.pcd_writer import pcd_step, write_pcd
 from torchreg.io.ply import read_ply, write_ply
 from torchreg.io.ptx import read_ptx
 from torchreg.io.stream import ScanStream
 from torchreg.io.text import read_named_text, read_text
+from torchreg.io.text_writer import write_csv, write_xyz
 from torchreg.types import Clouds
 
 Scan = RawCloud | ScanStream
@@ -47,6 +52,7 @@ class CloudFormat:
         read: ``None`` where the format is only written.
         write: ``None`` where the format is only read.
         read_columns: where the format does not always say what its columns are.
+        keeps: what a file that is written keeps of a cloud.
     """
 
     suffixes: tuple[str, ...]
@@ -54,25 +60,52 @@ class CloudFormat:
     read: Reader | None = None
     write: Writer | None = None
     read_columns: ColumnReader | None = None
+    keeps: Capacity = USUAL
 
+
+_LAS = Capacity(brightest=BRIGHTEST, normals=False, scanner=False, step=las_step)
 
 FORMATS = (
     CloudFormat(suffixes=(".ply",), words="PLY, as text or binary", read=read_ply, write=write_ply),
-    CloudFormat(suffixes=(".pcd",), words="PCD, as text, binary or compressed", read=read_pcd),
-    CloudFormat(suffixes=(".e57",), words="E57, of one scan or many, by pye57", read=read_e57),
-    CloudFormat(suffixes=(".las", ".laz"), words="LAS, LAZ and COPC, by laspy", read=read_las),
+    CloudFormat(
+        suffixes=(".pcd",),
+        words="PCD, as text, binary or compressed",
+        read=read_pcd,
+        write=write_pcd,
+        keeps=Capacity(step=pcd_step),
+    ),
+    CloudFormat(suffixes=(".e57",), words="E57, of one scan or many, by pye57", read=read_e57, write=write_e57),
+    CloudFormat(suffixes=(".las",), words="LAS, by laspy", read=read_las, write=write_las, keeps=_LAS),
+    CloudFormat(suffixes=(".laz",), words="LAZ and COPC, by laspy", read=read_las, write=write_laz, keeps=_LAS),
     CloudFormat(suffixes=(".ptx",), words="PTX, of one scan or many", read=read_ptx),
     CloudFormat(
-        suffixes=(".xyz", ".txt", ".csv", ".asc", ".pts"),
+        suffixes=(".xyz", ".txt", ".asc"),
         words="text, one point a line",
         read=read_text,
         read_columns=read_named_text,
+        write=write_xyz,
     ),
-    CloudFormat(suffixes=(".npz",), words="NumPy arrays, nothing rounded", read=read_npz, write=write_npz),
+    CloudFormat(
+        suffixes=(".csv",),
+        words="text with commas",
+        read=read_text,
+        read_columns=read_named_text,
+        write=write_csv,
+        keeps=Capacity(scanner=False),
+    ),
+    CloudFormat(suffixes=(".pts",), words="text after a count of points", read=read_text, read_columns=read_named_text),
+    CloudFormat(
+        suffixes=(".npz",),
+        words="NumPy arrays, nothing rounded",
+        read=read_npz,
+        write=write_npz,
+        keeps=Capacity(brightest=None),
+    ),
 )
 
 READERS = {suffix: row.read for row in FORMATS if row.read is not None for suffix in row.suffixes}
 WRITERS = {suffix: row.write for row in FORMATS if row.write is not None for suffix in row.suffixes}
+CAPACITIES = {suffix: row.keeps for row in FORMATS if row.write is not None for suffix in row.suffixes}
 
 COLUMN_READERS = {
     suffix: row.read_columns for row in FORMATS if row.read_columns is not None for suffix in row.suffixes

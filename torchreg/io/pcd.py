@@ -29,6 +29,7 @@ from torchreg.io.columns import (
 )
 from torchreg.io.header_lines import header_lines
 from torchreg.io.placement import Scanner, scanner_of_file
+from torchreg.io.viewpoint_line import scanner_of_line
 
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
@@ -49,6 +50,8 @@ class _PcdHeader:
 
 def read_pcd(path: Path) -> Iterator[RawCloud]:
     """Read a PCD file. Its VIEWPOINT counts where the position is not zero, which is its default.
+
+    The comment that ``write_cloud`` leaves counts before it.
 
     Raises:
         CloudFileError: not a PCD file, a header that is wrong or that promises more than the file holds,
@@ -71,7 +74,11 @@ def read_pcd(path: Path) -> Iterator[RawCloud]:
 
 def _read_header(path: Path) -> _PcdHeader:
     lines: dict[str, list[str]] = {}
+    commented: Scanner | None = None
     for line in header_lines(path, _LONGEST_HEADER):
+        if line.words and line.words[0].startswith("#"):
+            commented = scanner_of_line(line.words[1:]) or commented
+            continue
         key = line.words[0].upper() if line.words else ""
         key = "FIELDS" if key == "COLUMNS" else key
         if key in _KEYS:
@@ -84,7 +91,7 @@ def _read_header(path: Path) -> _PcdHeader:
     encoding = " ".join(lines["DATA"]).lower()
     require(encoding in _ENCODINGS, path, "DATA " + " or ".join(_ENCODINGS), excerpt(encoding))
     scanner, notes = _scanner(lines)
-    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), scanner, line.end, notes)
+    return _PcdHeader(encoding, _columns(lines, path), _rows(lines, path), commented or scanner, line.end, notes)
 
 
 def _columns(lines: dict[str, list[str]], path: Path) -> list[Column]:

@@ -17,10 +17,12 @@ import numpy as np
 
 from torchreg.io.assemble import RawCloud
 from torchreg.io.checks import excerpt, refuse, require
+from torchreg.io.placement import Scanner
 from torchreg.io.stream import CHUNK_ROWS, ScanStream
 from torchreg.io.text_columns import TextLayout, guessed_layout, header_layout, named_layout
 from torchreg.io.text_lines import COMMENTS, Dialect, chunks_of_lines, dialect_of, is_comment, numbers_of, open_text
 from torchreg.io.thin import CloudRows
+from torchreg.io.viewpoint_line import scanner_of_line
 
 _LONGEST_HEADER = 100  # lines
 _SAMPLE = 1000  # lines that a layout is guessed from
@@ -35,6 +37,7 @@ class _Start:
     layout: TextLayout
     skip: int  # lines before the first point
     count: int | None  # of points, where a line says it
+    scanner: Scanner | None  # where a comment says it
 
 
 def read_text(path: Path) -> Iterator[ScanStream]:
@@ -58,7 +61,12 @@ def _stream(path: Path, columns: str | None) -> ScanStream:
     found: list[str] = []
     kind = path.suffix.lower().lstrip(".")
     head = RawCloud(
-        name=str(path), format=f"{kind} text", points=np.empty((0, 3)), unit=start.layout.unit, notes=start.layout.notes
+        name=str(path),
+        format=f"{kind} text",
+        points=np.empty((0, 3)),
+        scanner=start.scanner,
+        unit=start.layout.unit,
+        notes=start.layout.notes,
     )
     return ScanStream(head=head, rows=start.count, chunks=lambda: _chunks(path, start, found), found=found)
 
@@ -94,6 +102,7 @@ def _chunks(path: Path, start: _Start, found: list[str]) -> Iterator[CloudRows]:
 def _start(file: TextIO, path: Path, columns: str | None) -> _Start:
     header: TextLayout | None = None
     count: int | None = None
+    scanner: Scanner | None = None
     for skip, line in enumerate(file):
         if skip >= _LONGEST_HEADER:
             break
@@ -103,14 +112,16 @@ def _start(file: TextIO, path: Path, columns: str | None) -> _Start:
         dialect = dialect_of(line)
         words = dialect.words(line)
         if is_comment(line) or not _is_data(words, dialect, columns, header):
-            header = header_layout(dialect.words(line.lstrip("".join(COMMENTS)))) or header
+            bare = line.lstrip("".join(COMMENTS))
+            header = header_layout(dialect.words(bare)) or header
+            scanner = scanner_of_line(bare.split()) or scanner
             continue
         layout = named_layout(path, columns) if columns is not None else header
         if layout is None:
             layout = _guess(path, chain([line], file), dialect)
         widest = max(layout.columns)
         require(len(words) > widest, path, f"at least {widest + 1} columns", f"{len(words)}: {excerpt(line.strip())}")
-        return _Start(dialect=dialect, layout=layout, skip=skip, count=count)
+        return _Start(dialect=dialect, layout=layout, skip=skip, count=count, scanner=scanner)
     return refuse(path, f"lines of numbers x y z, after at most {_LONGEST_HEADER} others", "none")
 
 
