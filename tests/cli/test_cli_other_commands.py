@@ -110,7 +110,7 @@ def test_every_help_text_is_a_sentence_with_unit_and_default(name):
             assert parameter.default is not None or parameter.required or "by default" in text, (name, text)
 
 
-@pytest.mark.parametrize("command", [[], ["register"], ["check"], ["info"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["register"], ["check"], ["info"], ["convert"], ["demo"]])
 def test_help(run, command):
     result = run(*command, "--help")
     assert result.exit_code == 0

@@ -1,4 +1,4 @@
-"""The command line: ``torchreg register``, ``batch``, ``check``, ``info``, ``demo``, ``bench``.
+"""The command line: ``torchreg register``, ``batch``, ``check``, ``info``, ``convert``, ``demo``, ``bench``.
 
 Exit codes: 0 a successful registration, 1 an unexpected error, 2 bad usage or an unreadable file, 3 a registration
 that failed, 130 interrupted.

@@ -9,6 +9,7 @@ import typer
 from torchreg.cli.batch import batch
 from torchreg.cli.bench import bench
 from torchreg.cli.check import check
+from torchreg.cli.convert import convert
 from torchreg.cli.demo import demo
 from torchreg.cli.guard import GuardedGroup
 from torchreg.cli.info import info
@@ -26,6 +27,7 @@ app.command()(register)
 app.command()(batch)
 app.command()(check)
 app.command()(info)
+app.command()(convert)
 app.command()(demo)
 app.add_typer(bench, name="bench")
 
