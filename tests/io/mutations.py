@@ -57,6 +57,23 @@ def npz_seeds(folder):
         yield buffer.getvalue()
 
 
+def ptx_seeds(folder):
+    """One scan of a grid with colors and a beam without a return, in a frame of its own."""
+    rows = [f"{x:.4f} {y:.4f} {z:.4f} 0.{k:02d} {r} {g} {b}" for k, ((x, y, z), (r, g, b)) in enumerate(_both())]
+    head = ["3", "4", "1 2 3", "1 0 0", "0 1 0", "0 0 1", "1 0 0 0", "0 1 0 0", "0 0 1 0", "1 2 3 1"]
+    yield "\n".join([*head, *rows[:-1], "0 0 0 0.5 0 0 0", ""]).encode()
+
+
+def pts_seeds(folder):
+    """A count, then points with intensity and color."""
+    rows = [f"{x:.4f} {y:.4f} {z:.4f} {9 * k - 50} {r} {g} {b}" for k, ((x, y, z), (r, g, b)) in enumerate(_both())]
+    yield "\n".join([str(len(rows)), *rows, ""]).encode()
+
+
+def _both():
+    return zip(_POINTS, _COLORS, strict=True)
+
+
 def written_seeds(suffix):
     """What the format's own writer writes, for formats without seeds of their own."""
 
@@ -68,7 +85,7 @@ def written_seeds(suffix):
     return seeds
 
 
-SEEDS = {".ply": ply_seeds, ".pcd": pcd_seeds, ".npz": npz_seeds}
+SEEDS = {".ply": ply_seeds, ".pcd": pcd_seeds, ".npz": npz_seeds, ".ptx": ptx_seeds, ".pts": pts_seeds}
 """What yields whole files of a suffix, given a folder to write in; a format that has a writer may do without."""
 
 
@@ -103,8 +120,8 @@ _ODD_BYTES += [b"\xff" * 8, b"\0" * 8, b"\0\0\0\x10", b"\xff\xff\xff\xff\xff\xff
 def mutated(content, others, draw):
     """The bytes of a file, changed one to three times; ``draw`` is a ``random.Random``."""
     for _ in range(draw.choice([1, 1, 1, 2, 3])):
-        in_archive = content.startswith(b"PK") and draw.random() < 0.8
-        change = _change_a_member if in_archive else draw.choice(_CHANGES)
+        inside = [change for magic, change in _INSIDE.items() if content.startswith(magic)]
+        change = inside[0] if inside and draw.random() < 0.8 else draw.choice(_CHANGES)
         content = change(content, others, draw) or b"\0"
     return content
 
@@ -182,6 +199,36 @@ def _change_a_member(content, others, draw):
 
 _CHANGES = [_change_bytes, _flip_a_bit, _write_odd_bytes, _change_a_number, _change_a_number, _cut, _drop_or_repeat]
 _CHANGES += [_change_lines, _splice]
+
+
+def _change_pages(content, others, draw):
+    """Of an E57 file, the bytes between the checksums of its pages, with checksums that fit the damage."""
+    plain, *more = (b"".join(one[k : k + _PAGE] for k in range(0, len(one), _PAGE + 4)) for one in (content, *others))
+    plain = draw.choice(_CHANGES)(plain, more, draw)
+    plain += b"\0" * (-len(plain) % _PAGE)
+    pages = [plain[k : k + _PAGE] for k in range(0, len(plain), _PAGE)]
+    return b"".join(page + struct.pack(">I", _checksum(page)) for page in pages)
+
+
+def _checksum(page):
+    """CRC-32C (Castagnoli), as ASTM E2807 has it."""
+    value = 0xFFFFFFFF
+    for byte in page:
+        value = value >> 8 ^ _CHECKSUMS[(value ^ byte) & 255]
+    return value ^ 0xFFFFFFFF
+
+
+def _table():
+    for value in range(256):
+        for _ in range(8):
+            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
+        yield value
+
+
+_PAGE = 1020  # bytes of a page before its checksum
+_CHECKSUMS = list(_table())
+_INSIDE = {b"PK": _change_a_member, b"ASTM-E57": _change_pages}
+"""Changes behind the checksums of a format, by the first bytes of its files."""
 
 
 def case(suffix, number, seeds):

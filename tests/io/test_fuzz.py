@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mutations
 import pytest
 from mutations import case, readable_suffixes, seeds_of
 
@@ -81,3 +82,9 @@ def test_what_a_bad_reader_does_is_reported(tmp_path, reader, reported):
     done = python(tmp_path / "broken.py", str(tmp_path))
     assert done.returncode != 0
     assert reported in f"code {done.returncode} {done.stdout}"
+
+
+def test_checksums_of_pages_are_those_of_the_format(tmp_path):
+    for content in seeds_of(".e57", tmp_path):
+        pages = [content[k : k + 1024] for k in range(0, len(content), 1024)]
+        assert [mutations._checksum(page[:-4]).to_bytes(4, "big") for page in pages] == [page[-4:] for page in pages]

@@ -66,6 +66,9 @@ def _check_sizes(path: Path) -> None:
         start = file.read(_HEADER)
         require(start[:4] == b"LASF", path, "a LAS file, which starts with 'LASF'", excerpt(start[:4]))
         require(len(start) >= _OLD_HEADER, path, f"a header of {_OLD_HEADER} bytes or more", f"{len(start)}")
+        header, offset = struct.unpack_from("<HI", start, 94)
+        fits = header <= offset <= size
+        require(fits, path, f"points within {size} bytes, after the header", f"them at byte {offset}")
         _check_chunks(path, file, start, size)
         (records,) = struct.unpack_from("<I", start, 100)
         require(records * _RECORD <= size, path, f"{records} records after the header", f"a file of {size} bytes")
