@@ -132,6 +132,8 @@ BAD_WORDS = {
     ),
     "aligned": (["register", "a.ply", "b.ply", "--aligned", "a.ptx"], "--aligned"),
     "no folder": (["register", "a.ply", "b.ply", "--json", "no/such/folder/r.json"], "--json"),
+    "no such convention": (["register", "a.ply", "b.ply", "--transform-format", "euler"], "--transform-format"),
+    "a convention of nothing": (["register", "a.ply", "b.ply", "--transform-format", "pdal"], "--transform beside it"),
     "over an input": (["register", "a.ply", "b.ply", "--aligned", "./a.ply"], "--aligned"),
     "twice": (["register", "a.ply", "b.ply", "--json", "x", "--transform", "x"], "--transform"),
     "angle": (["demo", "--angular-step", "90"], "angular_step"),

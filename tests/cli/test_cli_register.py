@@ -38,6 +38,19 @@ def test_all_outputs_of_a_good_pair(run, room, tmp_path):
     assert torch.equal(aligned.colors, source.colors)
 
 
+def test_the_transform_and_the_aligned_cloud_in_other_formats(run, room, tmp_path):
+    pair = ("register", room.source, room.target, "--json", tmp_path / "r.json")
+    words = ("--transform", tmp_path / "T.json", "--transform-format", "pdal", "--aligned", tmp_path / "a.laz")
+    result = run(*pair, *words)
+    assert result.exit_code == 0, result.output
+    T = torch.tensor(json.loads((tmp_path / "r.json").read_text())["T_target_source"], dtype=torch.float64)
+    (stage,) = json.loads((tmp_path / "T.json").read_text())
+    assert [float(word) for word in stage["matrix"].split()] == T.flatten().tolist()
+    source, aligned = tr.read_cloud(room.source), tr.read_cloud(tmp_path / "a.laz", dtype=torch.float64)
+    moved = source.points.double() @ T[:3, :3].T + T[:3, 3]
+    assert (aligned.points + aligned.origin - moved).abs().max() < 1e-4
+
+
 def test_table_says_what_was_found(run, room):
     result = run("register", room.source, room.target, "--truth", room.truth)
     for words in ("inlier threshold", "fpfh", "hypotheses", "fitness", "inlier_rmse", "T_target_source", "RRE", "RMSE"):

@@ -14,7 +14,9 @@ from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
 from torchreg.cli.pair import PairArguments, ReadPair, options_of_pair, read_pair
 from torchreg.cli.progress import step
+from torchreg.errors import expect, one_of
 from torchreg.io.formats import WRITERS, alternatives
+from torchreg.io.transform_formats import TRANSFORM_FORMATS
 from torchreg.metrics import pose_errors
 from torchreg.registration.register import register as register_clouds
 from torchreg.report import FIGURE_SUFFIXES
@@ -38,6 +40,18 @@ class Outputs:
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
+    transform_format: Annotated[
+        str,
+        typer.Option(
+            "--transform-format",
+            metavar="|".join(TRANSFORM_FORMATS),
+            help="Convention in which --transform writes. matrix: four lines of four numbers. cloudcompare: the same "
+            "with 12 decimals. quaternion-wxyz, quaternion-xyzw: with the real part first or last, and the "
+            "translation. euler-zyx: degrees, R = Rz(yaw) Ry(pitch) Rx(roll). e57: the pose of a scan. ptx: the lines "
+            "of a header. pdal: a pipeline with filters.transformation.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = "matrix"
     aligned: Annotated[
         Path | None,
         typer.Option(
@@ -78,6 +92,9 @@ class Outputs:
 
     def check(self, inputs: list[Path]) -> None:
         """Check before the work begins that all of them can be written."""
+        one_of(self.transform_format, "--transform-format", tuple(TRANSFORM_FORMATS))
+        idle = self.transform is None and self.transform_format != "matrix"
+        expect(not idle, "--transform-format", "--transform beside it", self.transform_format)
         outputs = (
             Output("--json", self.json),
             Output("--transform", self.transform),
@@ -147,7 +164,7 @@ def _write_clouds(outputs: Outputs, pair: ReadPair, result: RegistrationResult) 
         return
     T = result.T_target_source[0].cpu()
     if outputs.transform is not None:
-        write_transform_text(outputs.transform, T)
+        write_transform_text(outputs.transform, T, form=outputs.transform_format)
     if outputs.aligned is not None:
         with step(f"writing {outputs.aligned.name}"):
             write_cloud(outputs.aligned, pair.whole[0], T=T)

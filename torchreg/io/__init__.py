@@ -7,10 +7,12 @@ from torchreg.io.open3d_clouds import from_open3d, to_open3d
 from torchreg.io.pairs_file import PairRow, read_pairs_file
 from torchreg.io.reading import Reading
 from torchreg.io.result_json import result_to_dict, write_result_json
+from torchreg.io.transform_formats import TRANSFORM_FORMATS
 from torchreg.io.transform_text import read_transform_text, write_transform_text
 
 __all__ = [
     "CLOUD_SUFFIXES",
+    "TRANSFORM_FORMATS",
     "CloudFile",
     "PairRow",
     "Reading",

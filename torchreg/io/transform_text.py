@@ -11,24 +11,30 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from torchreg.errors import CloudFileError, expect
-from torchreg.io.atomic import atomic_write
+from torchreg.errors import CloudFileError, expect, one_of
+from torchreg.io.atomic import write_text
 from torchreg.io.checks import excerpt, readable_file, refuse, require
+from torchreg.io.transform_formats import TRANSFORM_FORMATS
 
 _KEY = "T_target_source"
 _TOLERANCE = 1e-4  # of R R^T - 1 and of the last row
 _LARGEST_FILE = 1 << 24  # bytes
 
 
-def write_transform_text(path: str | os.PathLike[str], T: Tensor) -> None:
-    """Write a transform (4, 4) as text with 17 digits, which float64 survives; in full or not at all.
+def write_transform_text(path: str | os.PathLike[str], T: Tensor, *, form: str = "matrix") -> None:
+    """Write a transform (4, 4) as text, in full or not at all.
+
+    Args:
+        path: the file.
+        T: rigid, translation in meters.
+        form: "matrix" for four lines of four numbers with 17 digits, which float64 survives, or another name of
+            ``TRANSFORM_FORMATS``.
 
     Raises:
-        ValueError: not a rigid transform, or no such folder.
+        ValueError: not a rigid transform, no such form, or no such folder.
     """
-    matrix = checked_rigid(T, "T")
-    with atomic_write(path) as file:
-        np.savetxt(file, matrix, fmt="%.17g")
+    text = TRANSFORM_FORMATS[one_of(form, "form", tuple(TRANSFORM_FORMATS))]
+    write_text(path, text(checked_rigid(T, "T")))
 
 
 def read_transform_text(path: str | os.PathLike[str]) -> Tensor:
