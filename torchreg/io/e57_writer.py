@@ -40,7 +40,7 @@ class _Field(NamedTuple):
 def write_e57(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
     """Write one cloud as a file of one scan. libE57Format opens files by name: it is made beside the one given."""
     pye57 = package(Path(file.name), "pye57", "pye57")
-    with tempfile.TemporaryDirectory(dir=Path(file.name).parent, prefix=".", suffix=".tmp") as folder:
+    with tempfile.TemporaryDirectory(dir=Path(file.name).parent, prefix=".e57-") as folder:
         path = Path(folder) / "scan.e57"
         with pye57.E57(str(path), mode="w") as made:
             _write_scan(pye57.libe57, made, cloud)
