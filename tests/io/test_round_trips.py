@@ -20,10 +20,10 @@ SCANNERS = ("known", "known zero", "assumed", "none")
 SUFFIXES = tuple(suffix for suffix in WRITERS if suffix in READERS)
 
 
-def survey(seed=0, count=200, *, origin=UTM, extent=80.0, dtype=torch.float64, scanner="known", fields=True):
-    """A cloud of whole millimeters with all that a cloud may have."""
+def survey(seed=0, count=200, *, origin=UTM, extent=80.0, step=1e-3, dtype=torch.float64, scanner="known", fields=True):
+    """A cloud of whole steps, by default millimeters, with all that a cloud may have."""
     g = torch.Generator().manual_seed(seed)
-    points = (torch.rand(count, 3, generator=g, dtype=torch.float64) * extent * 1000).round() / 1000
+    points = (torch.rand(count, 3, generator=g, dtype=torch.float64) * extent / step).round() * step
     normals = torch.nn.functional.normalize(torch.randn(count, 3, generator=g, dtype=torch.float64), dim=1)
     colors = torch.randint(0, 256, (count, 3), generator=g) / 255
     colors[0] = torch.tensor([1.0, 0.5, 0.001])  # one that is no whole level
@@ -64,7 +64,7 @@ def same_scanner(back, cloud):
 @given(seed=st.integers(0, 1000), count=st.integers(2, 60), far=st.booleans(), wide=st.booleans(), fields=st.booleans())
 def test_a_survey_comes_back(tmp_path, suffix, scanner, seed, count, far, wide, fields):
     dtype = torch.float64 if wide else torch.float32
-    cloud = survey(seed, count, origin=UTM if far else 0 * UTM, dtype=dtype, scanner=scanner, fields=fields)
+    cloud = survey(seed, count, step=1e-6, origin=UTM if far else 0 * UTM, dtype=dtype, scanner=scanner, fields=fields)
     back, keeps = back_from(tmp_path, suffix, cloud), CAPACITIES[suffix]
     assert (whole(back) - whole(cloud)).abs().max() < 1e-4
     if not any("coordinates" in loss for loss in keeps.losses(cloud)) and not far:

@@ -46,10 +46,10 @@ def read_cloud(
         scan: which scan of a file with several: its number, counted from 0, or its name.
         viewpoint: where the scanner stood. "auto" takes the file's own (VIEWPOINT of PCD where it is not
             zero, the key of npz, the comment that ``write_cloud`` leaves in PLY, PCD and text, its element of E57, the
-            translation of a pose of E57 or PTX). Where the file says nothing, it assumes the frame's zero, unless the points are more than ten times
-            their extent away from it: this guess is marked by ``viewpoint_assumed`` and is no evidence for or against
-            a pose. "origin" is the frame's zero, known; ``None`` means that nothing is known; three numbers are a
-            known position in the file's frame, in meters.
+            translation of a pose of E57 or PTX). Where the file says nothing, it assumes the frame's zero, unless the
+            points are more than ten times their extent away from it: this guess is marked by ``viewpoint_assumed`` and
+            is no evidence for or against a pose. "origin" is the frame's zero, known; ``None`` means that nothing is
+            known; three numbers are a known position in the file's frame, in meters.
         dtype: of the result, float32 or float64.
         columns: of a text file, such as "x y z intensity red green blue"; ``None`` takes its header, or what the
             numbers look like, which a note says.
