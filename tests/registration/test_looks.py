@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from determinism import same_bits
-from problems import turned
+from problems import room_pair, turned
 from scenes import FURNISHED, OTHER_ROOM, SPACING, Box, boxes, moved_pair
 
 import torchreg as tr
@@ -143,3 +143,11 @@ def test_what_was_proposed_before_is_not_proposed_again():
     assert len(set(every)) == len(every)
     assert [part.origin for part in second_look(*sides, options, 0, every[1:])] == every[:1]
     assert second_look(*sides, options, 0, every) == []
+
+
+def test_a_cloud_too_wide_for_voxels_is_not_looked_at_more_coarsely():
+    pair = room_pair(900)
+    options = tr.derive_options(pair.source, pair.target)[0]
+    wide = replace(pair.source, points=torch.cat([pair.source.points[1:], torch.full((1, 3), 1e7)]))
+    sides = [describe_clouds(cloud, options) for cloud in (wide, pair.target)]
+    assert {part.coarser for part in second_look(*sides, options, 0)} == {1.0}

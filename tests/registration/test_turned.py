@@ -6,10 +6,16 @@ from determinism import assert_nothing_shows
 from problems import random_transform, seeded, uniform
 
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.registration.turned import turned
+from torchreg.registration import turned as module
 
 THRESHOLD = 0.1
 EYE = torch.eye(3, dtype=torch.float64)
+
+
+def turned(rotation, normals, source, target, threshold, scored=None):
+    """Scored on all matches unless other ones are named."""
+    scored = torch.arange(len(source)) if scored is None else scored
+    return module.turned(rotation, normals, source, target, threshold, scored)
 
 
 def spread(size, count, seed=0):
@@ -56,6 +62,18 @@ def test_support_inliers_and_errors_are_those_of_the_poses():
         assert torch.equal(square < 0.25, inliers)
         assert int(support) == int(inliers.sum()) >= 5
         assert float(error) == pytest.approx(float(square[inliers].sum()))
+
+
+def test_all_matches_vote_and_the_chosen_ones_are_scored():
+    source, target, scored = spread(3, 500), spread(3, 500, 1), torch.arange(0, 500, 7)
+    every, some = (
+        turned(EYE, box_normals(EYE), source, target, 0.5),
+        turned(EYE, box_normals(EYE), source, target, 0.5, scored),
+    )
+    assert torch.equal(every.rotation, some.rotation)
+    assert torch.equal(every.translation, some.translation)
+    assert torch.equal(every.inliers[:, scored], some.inliers)
+    assert some.support.tolist() == some.inliers.sum(dim=1).tolist()
 
 
 def test_no_votes_agree_where_matches_are_far_between():

@@ -25,6 +25,7 @@ from torchreg.preprocess.normals import estimate_normals
 from torchreg.preprocess.orientation import orient_along_surfaces
 from torchreg.registration.describe import features_of
 from torchreg.registration.described import DescribedClouds
+from torchreg.registration.inspect import too_wide
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.recipes import fused_blocks
 from torchreg.solvers.batch import poses_of_pairs
@@ -90,7 +91,7 @@ def second_look(
         before: origins of proposals that there are already, which are not made again.
 
     Returns:
-        One proposal per way; none where no descriptor is left.
+        One proposal per way; none where no descriptor is left, none coarser where points are too far apart for voxels.
     """
     colored = source.cloud.colors is not None and target.cloud.colors is not None
     blocks = [
@@ -104,11 +105,17 @@ def second_look(
         ways = [way for way in (_SEEN if known else _SEEN + _UNSEEN) if way.coarser == coarser]
         chosen = [(way, _blocks_of(way, blocks)) for way in ways]
         chosen = [(way, of_way) for way, of_way in chosen if of_way and _origin(way, of_way, options) not in before]
-        if chosen:
+        voxel = None if coarser == 1 else _voxel(options, coarser)
+        if chosen and not any(too_wide(facts, voxel) for facts in (*source.facts, *target.facts)):
             records = [_wider(record, way) for way, of_way in chosen for record, _ in of_way]
             one, other = (_Side(side.cloud, options, records, coarser) for side in (source, target))
             proposed += [_proposed(one, other, way, of_way, options, seed) for way, of_way in chosen]
     return proposed
+
+
+def _voxel(options: RegistrationOptions, coarser: float) -> float:
+    """Meters, the edge of voxels that leave points so many times as far apart as the options have them."""
+    return coarser * _SPACING * options.inlier_threshold
 
 
 _Block = tuple[Descriptor, float]
@@ -130,7 +137,7 @@ class _Side:
         most = max(normal_neighbors, *(record.max_neighbors for record in records))
         cloud = described
         if coarser != 1:
-            cloud = voxel_downsample(replace(described, normals=None), coarser * _SPACING * options.inlier_threshold)
+            cloud = voxel_downsample(replace(described, normals=None), _voxel(options, coarser))
         self._near = neighbors(cloud, radius, most)
         self.rows = torch.arange(len(cloud.points), device=cloud.device)
         if coarser != 1:

@@ -82,12 +82,11 @@ def _turned(
     rows: Tensor,
     option: RegistrationOptions,
 ) -> PairPoses | None:
-    """The best pose of pair ``b`` after turns, by votes of all matches p, q (M, 3); inliers are those of ``rows``."""
+    """The best pose of pair ``b`` after turns, by votes of all matches p, q (M, 3), scored on ``rows`` of them."""
     begin, end = target.offsets[b : b + 2].tolist()
     if target.normals is None or len(first.support) == 0 or len(p) == 0:
         return None
-    poses = turned(first.rotation[0], target.normals[begin:end], p, q, option.inlier_threshold)
-    return poses._replace(inliers=poses.inliers[:, rows])
+    return turned(first.rotation[0], target.normals[begin:end], p, q, option.inlier_threshold, rows)
 
 
 def _best(solved: PairPoses, by_turns: PairPoses | None) -> PairPoses:

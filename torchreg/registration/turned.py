@@ -23,7 +23,9 @@ _LEAST = 5  # votes of a peak
 _LEAST_COSINES = (0.0,) * 6 + (0.9,) * 4  # of the normals that count, in the rounds that refine main directions
 
 
-def turned(rotation: Tensor, normals: Tensor, source: Tensor, target: Tensor, threshold: float) -> PairPoses:
+def turned(
+    rotation: Tensor, normals: Tensor, source: Tensor, target: Tensor, threshold: float, scored: Tensor
+) -> PairPoses:
     """Poses that equal ``rotation`` (3, 3) but for quarter and half turns about the main directions of the target.
 
     Args:
@@ -32,9 +34,10 @@ def turned(rotation: Tensor, normals: Tensor, source: Tensor, target: Tensor, th
         source: (M, 3) float64, meters, matched points, at least one.
         target: (M, 3) float64, meters, row by row the points matched to them.
         threshold: meters, of an inlier.
+        scored: (S,) int64, the matches that inliers, support and error are counted over; all vote.
 
     Returns:
-        At most 9, by falling support, in the frames of the points; none is scored on what did not vote.
+        At most 9, by falling votes, in the frames of the points.
     """
     turns = quarter_turns(_main_directions(normals))
     rotations = apply_rotation(turns[:, None], rotation.t()).transpose(1, 2).contiguous()  # (9, 3, 3)
@@ -46,14 +49,15 @@ def turned(rotation: Tensor, normals: Tensor, source: Tensor, target: Tensor, th
         mean = torch.where(near[..., None], votes, 0.0).cumsum(dim=1)[:, -1] / count.clamp(min=1)[:, None]
         translation = torch.where(count[:, None] > 0, mean, translation)
     square = (votes - translation[:, None]).square().sum(dim=-1)  # (9, M)
+    agreeing = (square < threshold * threshold).sum(dim=1)
+    order = agreeing.sort(descending=True, stable=True).indices
+    order = order[agreeing[order] >= _LEAST]
+    square = square[order][:, scored]
     inliers = square < threshold * threshold
-    support = inliers.sum(dim=1)
-    error = torch.where(inliers, square, 0.0).cumsum(dim=1)[:, -1]
-    order = support.sort(descending=True, stable=True).indices
-    order = order[support[order] >= _LEAST]
+    error = torch.where(inliers, square, 0.0).sum(dim=1)
     number = len(rotations)
     return PairPoses(
-        rotations[order], translation[order], inliers[order], support[order], error[order], number, number, number, None
+        rotations[order], translation[order], inliers, inliers.sum(dim=1), error, number, number, number, None
     )
 
 

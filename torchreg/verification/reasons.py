@@ -16,9 +16,9 @@ from torchreg.verification.model import TERMS, Evidence, term_values
 ACCEPTED = 0.6
 """The least probability of a success, where points lie as dense as in the cases that the weights were fitted to."""
 
-MARGIN, MARGIN_BY_SHAPE = 1.0, 2.5
+MARGIN, MARGIN_BY_SHAPE = 1.0, 2.0
 """The least log-odds of a success over its runner-up: about e to one; without colors, by which rivals of the same shape
-differ, twelve to one."""
+differ, 7 to one."""
 
 FIRM_STRENGTH = 0.1
 """Strength below which sliding is the reason of a refused pose; right poses of real pairs have 0.1 and more."""
