@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from torchreg.io import Reading, read_cloud_report
 from torchreg.io.assemble import RawCloud
 from torchreg.io.stream import Thinning, collect, stream_of
 from torchreg.io.thin import CloudRows, VoxelGrid
@@ -93,3 +94,46 @@ def test_a_cloud_read_whole_is_thinned_like_a_stream():
     assert (kept.rows_in_file, kept.voxel, kept.color_depth) == (3000, 0.002, "uint8")
     assert np.abs(kept.points).max() <= 0.01
     assert 0 <= kept.colors.min() < kept.colors.max() <= 1
+
+
+def write_text(path, rows, header="x y z red green blue"):
+    path.write_text("\n".join([header, *(" ".join(map(str, row)) for row in rows), ""]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("colors", "largest"),
+    [((0.2, 1.0005), 1.0), ((-1e-8, 0.9), 0.9), ((0, 1), 1.0), ((0.5, 128.5), 128.5 / 255), ((0, 300), 300 / 65535)],
+)
+def test_colors_of_text_are_scaled_as_those_of_other_files(tmp_path, colors, largest):
+    rows = [(k, 0, k % 2, *(colors[(k + c) % 2] for c in range(3))) for k in range(6)]
+    file = read_cloud_report(write_text(tmp_path / "a.xyz", rows))
+    assert float(file.cloud.colors.max()) == pytest.approx(largest, abs=1e-6)
+
+
+def test_colors_of_rows_that_are_dropped_do_not_scale_the_others(tmp_path):
+    rows = [("nan", 0, 0, 255, 255, 255), (1, 0, 0, 0.2, 0.5, 0.9), (0, 1, 0, 0.4, 0.1, 0.3), (0, 1, 1, 0.4, 0.3, 0.3)]
+    header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(
+        f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue")
+    )
+    (tmp_path / "a.ply").write_text(header + "end_header\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows))
+    write_text(tmp_path / "a.xyz", rows)
+    for name in ("a.ply", "a.xyz"):
+        for voxel in (None, 1e-4):
+            cloud = read_cloud_report(tmp_path / name, reading=Reading(voxel=voxel)).cloud
+            assert float(cloud.colors.max()) == pytest.approx(0.9), (name, voxel)
+
+
+def test_one_color_is_none_thinned_or_not_and_gives_way_to_intensity(tmp_path):
+    rows = [(k % 7, k % 5, k % 3, k, 77, 130, 9) for k in range(200)]
+    path = write_text(tmp_path / "a.xyz", rows, "x y z intensity red green blue")
+    for voxel in (None, 2.3):
+        assert read_cloud_report(path, reading=Reading(voxel=voxel)).cloud.colors is None
+        gray = read_cloud_report(path, reading=Reading(voxel=voxel, intensity=True)).cloud.colors
+        assert float(gray.max()) > 0.9
+
+
+def test_an_intensity_that_is_no_number_does_not_cost_the_others(tmp_path):
+    rows = [(0, 0, 0, 1), (1, 0, 0, "nan"), (0, 1, 0, 3)]
+    path = write_text(tmp_path / "a.xyz", rows, "x y z intensity")
+    assert read_cloud_report(path, reading=Reading(intensity=True)).cloud.colors is not None

@@ -14,6 +14,7 @@ from torchreg.errors import expect
 from torchreg.io.placement import FARTHEST_COORDINATE, Scanner, choose_origin, place_scanner
 from torchreg.types import Clouds
 
+_ROUNDING = 1e-6  # of the largest: colors that differ less are the same
 _SLACK = 1e-3  # a float color may exceed [0, 1] by this much and is cut off
 _LEAST_BRIGHT = 16.0  # floats whose largest lies from here to 255 are 8-bit values
 
@@ -204,7 +205,8 @@ def scale_colors(colors: NDArray[Any]) -> ScaledColors:
         return ScaledColors(None, "float", ("read without colors: not one of them is a finite number",))
     values = np.where(finite[:, None], colors, 0)
     low, high = float(values.min()), float(values.max())
-    scale = _scale_of_floats(values, low, high)
+    whole = bool((values == np.floor(values)).all())
+    scale = None if whole and 1 < high < _LEAST_BRIGHT else plain_scale(low, high, is_whole=whole)
     if scale is None:
         ranges = f"floats from 0 to 1, or to 255 with a maximum of at least {_LEAST_BRIGHT:g}"
         return ScaledColors(None, "float", (f"read without colors: expected {ranges}, got {low:g} to {high:g}",))
@@ -216,16 +218,15 @@ def scale_colors(colors: NDArray[Any]) -> ScaledColors:
     return ScaledColors(np.clip(values / scale, 0, 1), "float", tuple(notes))
 
 
-def _scale_of_floats(values: NDArray[Any], low: float, high: float) -> int | None:
-    """What float colors are divided by; ``None`` where that is not plain."""
+def plain_scale(low: float, high: float, *, is_whole: bool) -> int | None:
+    """What colors from ``low`` to ``high`` are divided by where no type tells; ``None`` where that is not plain."""
     if low < -_SLACK:
         return None
     if high <= 1 + _SLACK:
         return 1
-    if _LEAST_BRIGHT <= high <= 255:
+    if (is_whole or high >= _LEAST_BRIGHT) and high <= 255:
         return 255
-    is_wide = 255 < high <= 65535 and bool((values == np.floor(values)).all())
-    return 65535 if is_wide else None
+    return 65535 if is_whole and high <= 65535 else None
 
 
 def _scale_integers(colors: NDArray[Any]) -> ScaledColors:
@@ -240,10 +241,16 @@ def _scale_integers(colors: NDArray[Any]) -> ScaledColors:
     return ScaledColors(colors / (65535.0 if is_wide else 255.0), "uint16" if is_wide else "uint8", notes)
 
 
+def of_one_color(colors: NDArray[Any]) -> bool:
+    """Whether several colors (N, 3) are the same, up to the rounding of means."""
+    largest = float(np.abs(colors).max(initial=0))
+    return len(colors) > 1 and float(np.ptp(colors, axis=0).max()) <= _ROUNDING * largest
+
+
 def _unless_of_one_color(scaled: ScaledColors) -> ScaledColors:
     """No colors where several points have the same: they say nothing that the points do not."""
     values = scaled.values
-    if values is None or len(values) < 2 or bool((values != values[0]).any()):
+    if values is None or not of_one_color(values):
         return scaled
     red, green, blue = np.round(values[0] * 255).astype(int).tolist()
     note = f"read without colors: every point has the same, {red} {green} {blue} of 255"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.io.assemble import RawCloud, scale_colors
+from torchreg.io.assemble import RawCloud, ScaledColors, plain_scale, scale_colors
 from torchreg.io.thin import CloudRows, VoxelGrid
 
 CHUNK_ROWS = 1 << 18
@@ -63,15 +63,15 @@ class Thinning:
 
 
 def stream_of(raw: RawCloud) -> ScanStream:
-    """A cloud that was read whole, as a stream of its rows; colors in [0, 1].
-
-    Raises:
-        ValueError: colors that cannot be scaled.
-    """
+    """A cloud that was read whole, as a stream of its rows; colors in [0, 1], or left out with a note."""
     colors, depth, notes = raw.colors, raw.color_depth, raw.notes
     if colors is not None and depth is None:
-        colors, depth, more = scale_colors(colors)
-        notes = (*notes, *more)
+        finite = np.isfinite(raw.points).all(axis=1)  # (N,)
+        scaled = scale_colors(colors[finite]) if finite.any() else ScaledColors(None, "", ())
+        depth, notes = scaled.depth, (*notes, *scaled.notes)
+        colors = None if scaled.values is None else np.zeros(raw.points.shape)
+        if colors is not None:
+            colors[finite] = scaled.values
     empty = np.empty((0, 3))
     head = replace(raw, points=empty, colors=None, normals=None, intensity=None, color_depth=depth, notes=notes)
     whole = CloudRows(raw.points, colors, raw.normals, raw.intensity)
@@ -106,11 +106,11 @@ def collect(
     read = left_out = dropped = 0
     for rows in stream.chunks():
         finite = np.isfinite(rows.points).all(axis=1)  # (n,)
-        read += len(finite) + rows.left_out
+        read += len(finite) + rows.left_out  # rows.where leaves out the latter
         left_out += rows.left_out
         dropped += len(finite) - int(np.count_nonzero(finite))
-        rows = rows._replace(colors=colors.seen(rows.colors), points=rows.points * meters)
-        kept.add(rows if finite.all() else rows.where(finite))
+        rows = rows if finite.all() else rows.where(finite)  # first: what is dropped does not scale the others
+        kept.add(rows._replace(colors=colors.seen(rows.colors), points=rows.points * meters))
         if progress is not None:
             progress(read, stream.rows)
     rows = kept.take()
@@ -149,14 +149,18 @@ class _ColorScale:
 
     def __init__(self, white: float | None) -> None:
         self._white, self._low, self._high, self._whole = white, np.inf, -np.inf, True
+        self._lost = self._known = 0  # colors that are no numbers, and that are
 
     def seen(self, colors: NDArray[Any] | None) -> NDArray[Any] | None:
         """The colors (n, 3), which are remembered; those that are no numbers become black."""
         if colors is None or len(colors) == 0:
             return colors
         if colors.dtype.kind == "f":
+            finite = np.isfinite(colors).all(axis=1, keepdims=True)
+            colors = np.where(finite, colors, 0)
+            self._lost += len(finite) - int(np.count_nonzero(finite))
             self._whole &= bool((colors == np.floor(colors)).all())
-            colors = np.where(np.isfinite(colors).all(axis=1, keepdims=True), colors, 0)
+        self._known += len(colors)
         self._low, self._high = min(self._low, float(colors.min())), max(self._high, float(colors.max()))
         return colors
 
@@ -167,8 +171,13 @@ class _ColorScale:
         if colors is None or not len(colors):
             return None, None, ()
         white, high, notes = self._white, self._high, []
-        if self._low < 0 or high > 65535:
-            return None, None, (f"read without colors: they reach from {self._low:g} to {high:g}, not 0 to 65535",)
+        if self._lost == self._known:
+            return None, None, ("read without colors: not one of them is a finite number",)
+        if self._lost:
+            notes.append(f"{self._lost} colors are not finite and were made black")
+        usable = plain_scale(self._low, high, is_whole=self._whole)
+        if usable is None:
+            return None, None, (f"read without colors: they reach from {self._low:g} to {high:g}, not 0 to 1 or 255",)
         if high == 0 and depth is None:
             return None, None, ("read without colors: all are 0 0 0",)
         if white is not None and high > white * 1.001:
@@ -178,11 +187,12 @@ class _ColorScale:
             notes.append(f"16-bit colors reach only {high:g}: taken for 8-bit values")
             white = 255
         if white is None:
-            white = 1.0 if high <= 1 and not self._whole else 255.0 if high <= 255 else 65535.0
+            white = float(usable)
         depth = depth or {1.0: "float", 255.0: "uint8", 65535.0: "uint16"}.get(white, f"0 to {white:g}")
         return np.clip(colors / white, 0, 1), depth, tuple(notes)
 
 
 def _useful(intensity: NDArray[Any] | None) -> NDArray[Any] | None:
     """The intensity (N,), or ``None`` where it is the same everywhere: nothing was measured."""
-    return intensity if intensity is not None and len(intensity) and np.ptp(intensity) > 0 else None
+    known = None if intensity is None else intensity[np.isfinite(intensity)]
+    return intensity if known is not None and len(known) > 0 and np.ptp(known) > 0 else None
