@@ -25,10 +25,11 @@ from torchreg.io.columns import (
     record_size,
     surplus,
 )
-from torchreg.io.placement import FAR_COORDINATE, viewpoint_or_nan
-from torchreg.io.ply_header import ASSUMED_COMMENT, KNOWN_COMMENT, PlyElement, PlyHeader, read_header, vertices_of
+from torchreg.io.placement import FAR_COORDINATE
+from torchreg.io.ply_header import PlyElement, PlyHeader, read_header, vertices_of
 from torchreg.io.ply_lists import ListRows, columns_of_list_lines
 from torchreg.io.splats import holds_splats, raw_from_splats
+from torchreg.io.viewpoint_line import viewpoint_line
 from torchreg.types import Clouds
 
 
@@ -69,12 +70,10 @@ def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
         for i, name in enumerate(names):
             table[name] = values[:, i]
     words = {"<f8": "double", "<f4": "float", "<u1": "uchar"}
-    word = ASSUMED_COMMENT if bool(cloud.viewpoint_assumed[0]) else KNOWN_COMMENT
-    x, y, z = (viewpoint_or_nan(cloud) + cloud.origin[0]).tolist()
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment {word} {x:.17g} {y:.17g} {z:.17g}",
+        f"comment {viewpoint_line(cloud)}",
         f"element vertex {len(points)}",
         *(f"property {words[kind]} {name}" for names, kind, _ in groups for name in names),
         "end_header",

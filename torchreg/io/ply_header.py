@@ -11,11 +11,10 @@ import numpy as np
 from torchreg.io.checks import count_of, excerpt, refuse, require
 from torchreg.io.columns import Column
 from torchreg.io.header_lines import header_lines
-from torchreg.io.placement import Scanner, scanner_of_file
+from torchreg.io.placement import Scanner
+from torchreg.io.viewpoint_line import scanner_of_line
 
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-# "comment viewpoint x y z": where the scanner stood, or is assumed to have stood; write_cloud leaves one of them
-KNOWN_COMMENT, ASSUMED_COMMENT = "viewpoint", "viewpoint_assumed"
 _LONGEST_HEADER = 1 << 20  # bytes
 _TYPES = {
     **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
@@ -111,8 +110,8 @@ def _take_line(header: PlyHeader, words: list[str], path: Path) -> None:
     match words:
         case [] | ["obj_info", *_]:
             pass
-        case ["comment", word, *numbers] if word in (KNOWN_COMMENT, ASSUMED_COMMENT) and len(numbers) == 3:
-            header.scanner = _scanner(numbers, assumed=word == ASSUMED_COMMENT)
+        case ["comment", *comment] if (scanner := scanner_of_line(comment)) is not None:
+            header.scanner = scanner
         case ["comment", *_]:
             pass
         case ["format", encoding, version] if encoding in BYTE_ORDERS and version.startswith("1."):
@@ -134,11 +133,3 @@ def _take_line(header: PlyHeader, words: list[str], path: Path) -> None:
 def _dtype(header: PlyHeader, kind: str, path: Path) -> np.dtype[Any]:
     require(header.encoding != "", path, "the line 'format' before the elements", "it comes later")
     return np.dtype(f"{BYTE_ORDERS[header.encoding]}{_TYPES[kind]}")
-
-
-def _scanner(words: list[str], *, assumed: bool) -> Scanner | None:
-    """The position that a comment gives; any other comment may start with the same word."""
-    try:
-        return scanner_of_file(np.array([float(word) for word in words]), assumed=assumed)
-    except ValueError:
-        return None
