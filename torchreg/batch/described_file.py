@@ -12,12 +12,13 @@ import torch
 
 from torchreg.io.atomic import atomic_write
 from torchreg.io.result_json import plain_data
+from torchreg.refinement.surfels import Surfels
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
-_FORMAT = 6
+_FORMAT = 7
 _CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results without a trace
 
 
@@ -39,7 +40,7 @@ def write_described(path: Path, described: DescribedClouds) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    content = (described.cloud, described.features, described.spacing, described.facts)
+    content = (described.cloud, described.features, described.spacing, described.facts, described.surfels)
     buffer = io.BytesIO()
     torch.save(content, buffer)
     with atomic_write(path, durable=False) as file:  # the checksum shows what a power cut damaged
@@ -59,9 +60,9 @@ def read_described(path: Path, description: Description) -> DescribedClouds | No
     checksum, body = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
     if _checksum(body) != checksum:
         return None
-    with torch.serialization.safe_globals([Clouds, Features, CloudFacts, Failure]):
-        cloud, features, spacing, facts = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
-    return DescribedClouds(cloud, features, (description,), spacing, facts)
+    with torch.serialization.safe_globals([Clouds, Features, CloudFacts, Failure, Surfels]):
+        cloud, features, spacing, facts, surfels = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    return DescribedClouds(cloud, features, (description,), spacing, facts, surfels)
 
 
 def _checksum(content: bytes) -> bytes:

@@ -30,6 +30,14 @@ def morton_order(points: Tensor, offsets: Tensor) -> Tensor:
     return order
 
 
+def occupied_cells(points: Tensor) -> list[int]:
+    """The numbers of cubes that hold points (N, 3), N > 0, when their bounding cube is halved 0, 1, ..., 21 times."""
+    codes = _morton_codes(points.detach()).sort().values
+    changed = codes[1:] ^ codes[:-1]  # its highest bit tells at which halving two neighbors part
+    counts = [(changed >> (3 * (BITS - halvings)) != 0).sum() for halvings in range(BITS + 1)]
+    return [1 + count for count in torch.stack(counts).tolist()]
+
+
 def _morton_codes(points: Tensor) -> Tensor:
     """The code (N,) int64 of every point within the bounding cube of all of them."""
     points = points.double()

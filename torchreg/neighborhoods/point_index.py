@@ -86,6 +86,16 @@ class PointIndex:
         return Nearest(index, sum_of_squares(*(query - self._points[index]).unbind(1)))
 
 
+def several_nearest(query: Tensor, points: Tensor, count: int, *, max_bytes: int = 256 * 2**20) -> Tensor:
+    """The rows (Q, min(count, N)) int64 of the nearest of points (N, 3), N > 0, ascending by distance.
+
+    Through Open3D's tree on the CPU, where both sides are best in Morton order; by comparing all pairs elsewhere.
+    """
+    if uses_open3d("auto", query.device):
+        return Tree(points.contiguous()).nearest(query.contiguous(), count).long()
+    return nearest_of_all(query, points, count, max_bytes)
+
+
 def _from_tree(query: Tensor, points: Tensor) -> Tensor:
     """(Q,) int64 by Open3D's tree; both sides in Morton order, which is a third faster."""
     query_order = morton_order(query, torch.tensor([0, len(query)]))

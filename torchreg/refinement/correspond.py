@@ -84,6 +84,10 @@ class Correspondence:
             setattr(self, name, getattr(self, name).index_select(0, chosen))
         return chosen
 
+    def narrow(self, max_distance: Tensor) -> None:
+        """Lower the largest distances of the active pairs, (B,) meters."""
+        self._max_distance = max_distance
+
     def move(self, rotation: Tensor, translation: Tensor) -> None:
         """Update the correspondences to R (B, 3, 3) and t (B, 3) of the active pairs."""
         limit = self._max_distance[self.blocks.pair][:, None]  # (n, 1)

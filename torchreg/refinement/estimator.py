@@ -21,6 +21,7 @@ class MatchedBlocks(NamedTuple):
     partner: Tensor  # (A, k, 256) the target points nearest to them: x, y, z and the other columns of the kind
     inside: Tensor  # (k, 256) 1 where the two are a correspondence, 0 elsewhere
     extra: Tensor  # (E, k, 256) the kind's columns of source points
+    rotation: Tensor  # (k, 3, 3) from the source's frame to the target's
     kernel_scale: Tensor  # (k, 1)
     color_weight: Tensor  # (k, 1)
 

@@ -109,8 +109,8 @@ class ActivePairs:
         count, total = matches.blocks.sums(terms, 2).unbind(1)
         return count / self._lengths[self.pairs], (total / count.clamp_min(1)).sqrt()
 
-    def sums(self, estimator: Estimator, criteria: Criteria) -> Tensor:
-        """The estimator's sums (B, C)."""
+    def sums(self, estimator: Estimator, criteria: Criteria, rotation: Tensor) -> Tensor:
+        """The estimator's sums (B, C), where the sources are turned by ``rotation`` (B, 3, 3)."""
         matches = self.matches
         pair = torch.tensor(self.pairs, device=self.extra.device)[matches.blocks.pair]  # (n,)
         scale, color = criteria.kernel_scale[pair, None], criteria.color_weight[pair, None]  # (n, 1)
@@ -122,6 +122,7 @@ class ActivePairs:
                     partner=matches.partner[:, chunk],
                     inside=matches.inside[chunk].double(),
                     extra=self.extra[:, chunk],
+                    rotation=rotation[matches.blocks.pair[chunk]],
                     kernel_scale=scale[chunk],
                     color_weight=color[chunk],
                 )
@@ -140,7 +141,7 @@ def iterate(active: ActivePairs, center: Tensor, estimator: Estimator, criteria:
     _dismiss(active, (state.fitness > 0).tolist(), NO_CORRESPONDENCES, state)
     updates = 0
     while active.pairs:
-        update = estimator.solve(active.sums(estimator, criteria), center[active.pairs])
+        update = estimator.solve(active.sums(estimator, criteria, state.rotation[active.pairs]), center[active.pairs])
         R = apply_rotation(update.rotation[:, None], state.rotation[active.pairs].transpose(1, 2)).transpose(1, 2)
         t = apply_rotation(update.rotation, state.translation[active.pairs]) + update.translation
         usable = update.usable & torch.isfinite(t).all(dim=1)

@@ -22,6 +22,7 @@ from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import in_morton_order, voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
 from torchreg.preprocess.orientation import orient_like
+from torchreg.refinement.surfels import Surfels, surfels_of
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, set_aside, too_wide
 from torchreg.registration.options import RegistrationOptions
@@ -47,6 +48,8 @@ def description_of(options: RegistrationOptions, *, colored: bool) -> Descriptio
         normal_radius=options.normal_radius,
         normal_max_neighbors=options.normal_max_neighbors,
         descriptors=records,
+        refine=options.refine,
+        refine_points=0 if options.refine == "none" else options.refine_points,
     )
 
 
@@ -85,7 +88,8 @@ def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_byte
     ]
     usable = set_aside(hinted(clouds.detach()), defects)
     thin = downsample(usable, [description.voxel_size for description in descriptions])
-    return replace(describe_thin(thin, descriptions, max_bytes), facts=facts)
+    described = describe_thin(thin, descriptions, max_bytes)
+    return replace(described, facts=facts, surfels=surfels(usable, described.cloud, descriptions))
 
 
 def hinted(clouds: Clouds) -> Clouds:
@@ -113,6 +117,17 @@ def describe_thin(thin: Clouds, descriptions: Sequence[Description], max_bytes: 
         made = tuple(descriptions[group])
         parts.append(DescribedClouds(cloud, features, made, _spacings(cloud, near), facts_of(cloud)))
     return DescribedClouds.pack(parts)
+
+
+@stage("surfels")
+def surfels(given: Clouds, thin: Clouds, descriptions: Sequence[Description]) -> Surfels | None:
+    """The surfels of B clouds to refine poses on, of the clouds as given or of the thinned ones; ``None`` without.
+
+    ``descriptions``, of every cloud, are alike in this.
+    """
+    if not descriptions or descriptions[0].refine == "none":
+        return None
+    return surfels_of(given if descriptions[0].refine == "full" else thin, descriptions[0].refine_points)
 
 
 @stage("downsample")

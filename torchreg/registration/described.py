@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.errors import expect
+from torchreg.refinement.surfels import Surfels
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features
 from torchreg.types.lengths import besides_lengths, length
@@ -25,6 +26,8 @@ class Description:
     normal_radius: float = length()  # meters
     normal_max_neighbors: int
     descriptors: tuple[Descriptor, ...]  # in the order of the features
+    refine: str = "none"  # as in ``RegistrationOptions``
+    refine_points: int = 0  # as there; 0 beside "none"
 
     @property
     def max_neighbors(self) -> int:
@@ -52,6 +55,7 @@ class DescribedClouds:
         descriptions: of every cloud what it was described with, its descriptors in the order of ``features``.
         spacing: B numbers, meters, the median distance to the fourth nearest other point.
         facts: of the B clouds as they were given.
+        surfels: of the B clouds, to refine poses on; ``None`` where poses are not refined.
     """
 
     cloud: Clouds
@@ -59,6 +63,7 @@ class DescribedClouds:
     descriptions: tuple[Description, ...]
     spacing: tuple[float, ...]
     facts: tuple[CloudFacts, ...]
+    surfels: Surfels | None = None
 
     def __post_init__(self) -> None:
         for name in ("descriptions", "spacing", "facts"):
@@ -97,10 +102,12 @@ class DescribedClouds:
             descriptions=tuple(description for part in parts for description in part.descriptions),
             spacing=tuple(spacing for part in parts for spacing in part.spacing),
             facts=tuple(facts for part in parts for facts in part.facts),
+            surfels=_packed([part.surfels for part in parts]),
         )
 
     def unpack(self) -> list[DescribedClouds]:
         """The clouds as batches of one; their tensors are views."""
+        surfels = [None] * len(self) if self.surfels is None else self.surfels.unpack()
         return [
             DescribedClouds(
                 cloud=cloud,
@@ -108,6 +115,7 @@ class DescribedClouds:
                 descriptions=self.descriptions[b : b + 1],
                 spacing=self.spacing[b : b + 1],
                 facts=self.facts[b : b + 1],
+                surfels=surfels[b],
             )
             for b, (cloud, (begin, end)) in enumerate(zip(self.cloud.unpack(), spans(self.cloud.offsets), strict=True))
         ]
@@ -119,20 +127,31 @@ class DescribedClouds:
         index, offsets = kept_rows(self.cloud.offsets, refused)
         index = index.to(self.cloud.device)
         cloud = self.cloud.rows(index, offsets)
-        return replace(self, cloud=cloud, features=self._features(offsets, lambda rows: rows[index]))
+        surfels = None if self.surfels is None else self.surfels.without(refused)
+        return replace(self, cloud=cloud, features=self._features(offsets, lambda rows: rows[index]), surfels=surfels)
 
     def clone(self) -> DescribedClouds:
         """A copy in memory of its own."""
         cloud = Clouds.pack([self.cloud])  # which copies
-        return replace(self, cloud=cloud, features=self._features(cloud.offsets, Tensor.clone))
+        surfels = None if self.surfels is None else Surfels.pack([self.surfels])
+        return replace(self, cloud=cloud, features=self._features(cloud.offsets, Tensor.clone), surfels=surfels)
 
     def to(self, device: torch.device | str) -> DescribedClouds:
         """Copy to a device."""
         cloud = self.cloud.to(device)
-        return replace(self, cloud=cloud, features=self._features(cloud.offsets, lambda rows: rows.to(device)))
+        surfels = None if self.surfels is None else self.surfels.to(device)
+        features = self._features(cloud.offsets, lambda rows: rows.to(device))
+        return replace(self, cloud=cloud, features=features, surfels=surfels)
 
     def _features(self, offsets: Tensor, change: Callable[[Tensor], Tensor]) -> tuple[Features, ...]:
         """The features with every tensor of rows changed by a function."""
         return tuple(
             Features(change(block.values), offsets, block.blocks, change(block.valid)) for block in self.features
         )
+
+
+def _packed(parts: Sequence[Surfels | None]) -> Surfels | None:
+    """The surfels of all parts, which have the same descriptions; ``None`` where they have none."""
+    there = [part for part in parts if part is not None]
+    expect(len(there) in (0, len(parts)), "parts", "surfels in all of them or in none", f"in {len(there)}")
+    return Surfels.pack(there) if there else None

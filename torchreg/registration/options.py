@@ -19,6 +19,12 @@ AnySolver = TypeVar("AnySolver", bound=Solver)
 
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
+REFINEMENTS = ("none", "coarse", "full")
+"""How far a pose is refined at the end."""
+
+REFINE_POINTS = 20_000
+"""Surfels of each cloud that a pose is refined on, about."""
+
 
 @dataclass(frozen=True, kw_only=True, init=False)
 class RegistrationOptions:
@@ -49,6 +55,10 @@ class RegistrationOptions:
             where no pose convinces, ``"thorough"`` from several sets, by both of the library's solvers and always with
             that second look. Lengths do not depend on it; where ``register`` derives them, ``options_for`` takes them
             half as large again for ``"fast"``.
+        refine: how far the pose of a pair that succeeds is refined at the end: not at all (``"none"``, the resolution
+            that it was found at), on the thinned clouds (``"coarse"``), or on the clouds as given (``"full"``), which
+            goes to a part of their noise. Where ``register`` derives the options it is full, but for effort plain.
+        refine_points: small planes (surfels) of each cloud that it is refined on, about: bounds the work.
 
     The names from before descriptors and solvers were records can still be read, and given to the constructor and
     ``dataclasses.replace``: ``feature_radius`` and ``feature_max_neighbors``; ``color``, ``color_weights``,
@@ -77,6 +87,8 @@ class RegistrationOptions:
     solver: Solver
     ransac: RansacOptions
     effort: str
+    refine: str
+    refine_points: int
     # solver and ransac once more: dataclasses.replace passes them on, and the constructor sees which of them changed
     _before: tuple[Solver, RansacOptions] = field(repr=False, compare=False)
 
@@ -94,6 +106,8 @@ class RegistrationOptions:
         solver: Solver | str | None = None,
         ransac: RansacOptions | None = None,
         effort: str = "plain",
+        refine: str = "none",
+        refine_points: int = REFINE_POINTS,
         _before: tuple[Solver, RansacOptions] | None = None,
         **former: Any,  # noqa: ANN401
     ) -> None:
@@ -116,6 +130,8 @@ class RegistrationOptions:
             "solver": both[0],
             "ransac": both[1],
             "effort": one_of(effort, "effort", EFFORTS),
+            "refine": one_of(refine, "refine", REFINEMENTS),
+            "refine_points": at_least(refine_points, "refine_points", 100),
             "_before": both,
         }
         for name, value in values.items():

@@ -18,7 +18,8 @@ from torch import Tensor
 from torchreg.errors import at_least, expect, expect_device
 from torchreg.geometry.numerics.partition import partition
 from torchreg.refinement.pairing import numbered
-from torchreg.registration.describe import description_of, downsample, expect_alike, hinted
+from torchreg.refinement.surfels import Surfels
+from torchreg.registration.describe import description_of, downsample, expect_alike, hinted, surfels
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, refusal, set_aside
 from torchreg.registration.options import RegistrationOptions
@@ -67,6 +68,7 @@ class Plan:
         *,
         effort: str | None,
         solver: Solver | str | None,
+        refine: str | None,
         max_bytes: int | None,
     ) -> None:
         expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
@@ -80,7 +82,7 @@ class Plan:
         single = [*source.unpack(), *target.unpack()]
         distinct = {number: single[number] for side in self._numbers for number in side}
         self._facts = {number: facts_of(cloud)[0] for number, cloud in distinct.items()}
-        self.options = self._options(source, target, options, effort, solver)
+        self.options = self._options(source, target, options, effort, solver, refine)
         # colors of one side alone are of no use; normals are there for all clouds or none, so that they can be packed
         hints = any(cloud.normals is not None for cloud in distinct.values())
         clouds = {
@@ -97,6 +99,7 @@ class Plan:
         jobs = [self._job(b, side) for side in range(2) for b in range(len(source))]
         self._jobs, numbers = numbered(jobs)
         self._pairs = list(zip(numbers[: len(source)], numbers[len(source) :], strict=True))
+        self._clouds, self._surfels = clouds, dict[int, Surfels]()
         self._thin = [downsample(clouds[job.cloud], [job.description.voxel_size]) for job in self._jobs]
         self._last = {job: b for b, pair in enumerate(self._pairs) for job in pair}
         self._described: dict[int, DescribedClouds] = {}
@@ -113,7 +116,7 @@ class Plan:
         if new:
             thin = Clouds.pack([self._thin[job] for job in new])
             described = describe(thin, [self._jobs[job].description for job in new], self._budget)
-            self._described.update(zip(new, described.unpack(), strict=True))
+            self._described.update(zip(new, map(self._with_surfels, new, described.unpack()), strict=True))
         sides = [
             replace(
                 DescribedClouds.pack([self._described[pair[side]] for pair in pairs]),
@@ -126,6 +129,16 @@ class Plan:
         self._described = {job: cloud.clone() if job in new else cloud for job, cloud in later.items()}
         return sides[0], sides[1]
 
+    def _with_surfels(self, job: int, described: DescribedClouds) -> DescribedClouds:
+        """A described cloud with its surfels; those of clouds as given are made once, whatever else differs."""
+        number, description = self._jobs[job].cloud, self._jobs[job].description
+        made = self._surfels.get(number)
+        if made is None:
+            made = surfels(self._clouds[number], described.cloud, [description])
+            if made is not None and description.refine == "full":
+                self._surfels[number] = made
+        return replace(described, surfels=made)
+
     @stage("options")
     def _options(
         self,
@@ -134,6 +147,7 @@ class Plan:
         options: RegistrationOptions | Sequence[RegistrationOptions] | None,
         effort: str | None,
         solver: Solver | str | None,
+        refine: str | None,
     ) -> tuple[RegistrationOptions, ...]:
         """One per pair; derived from the spacing of the points for ``None``."""
         if options is None:
@@ -144,7 +158,7 @@ class Plan:
                 for side in self._numbers
             ]
             options = derive_numbered(*usable, numbers, "balanced" if effort is None else effort)
-        return options_of_pairs(options, len(source), effort, solver)
+        return options_of_pairs(options, len(source), effort, solver, refine)
 
     def _refusal(self, b: int, options: RegistrationOptions | None) -> Failure | None:
         return refusal(self._facts[self._numbers[0][b]], self._facts[self._numbers[1][b]], options)
@@ -160,8 +174,9 @@ def options_of_pairs(
     pairs: int,
     effort: str | None = None,
     solver: Solver | str | None = None,
+    refine: str | None = None,
 ) -> tuple[RegistrationOptions, ...]:
-    """One per pair, with another effort or solver where one is named.
+    """One per pair, with another effort, solver or refinement where one is named.
 
     Raises:
         ValueError: another type or number, or options that differ in more than lengths.
@@ -176,6 +191,8 @@ def options_of_pairs(
         options = [replace(option, **change) for option in options]
     if effort is not None:
         options = [replace(option, effort=effort) for option in options]
+    if refine is not None:
+        options = [replace(option, refine=refine) for option in options]
     expect_alike(options)
     return tuple(options)
 

@@ -4,6 +4,7 @@ downsample -> neighbors -> estimate_normals -> describe      each distinct cloud
 -> fuse -> match_mutual -> solve -> rivals                   once per set of features (``recipes_of``)
 -> weigh, refine by ICP, judge                               the poses of all sets together (``decide``)
 -> the same once more, at other scales                       of pairs in doubt (``look_again``)
+-> refine on surfels of the clouds as given                  the poses of pairs that succeed (``refined``)
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
 from torchreg.registration.recipes import Recipe, fused, recipes_of
+from torchreg.registration.refined import refined
 from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.solvers import Solver, base_seed, result_of_poses
@@ -39,6 +41,7 @@ def register(
     *,
     effort: str | None = None,
     solver: Solver | str | None = None,
+    refine: str | None = None,
     seed: int = 0,
     max_bytes: int | None = None,
 ) -> RegistrationResult:
@@ -60,6 +63,8 @@ def register(
             in ``PAPER``. Options given keep their lengths; derived ones are half as large again for ``"fast"``.
         solver: a record such as ``RansacOptions()``, or its name: then at the inlier threshold of the options.
             ``None`` takes that of the options.
+        refine: how far the poses found are refined, ``"none"``, ``"coarse"`` or ``"full"``, as in
+            ``RegistrationOptions``; ``None`` takes that of the options: full where they are derived, none in ``PAPER``.
         seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
@@ -80,7 +85,7 @@ def register(
         torch.Size([1, 4, 4])
     """
     with stopwatch() as seconds:
-        plan = Plan(source, target, options, effort=effort, solver=solver, max_bytes=max_bytes)
+        plan = Plan(source, target, options, effort=effort, solver=solver, refine=refine, max_bytes=max_bytes)
         results = []
         for pairs in plan.slices:
             described = plan.sides(pairs, describe_thin)
@@ -153,12 +158,16 @@ def _find_poses(
         result = collect(source.cloud, target.cloud, last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
     stages = _stage_counts(source, target, proposals)
+    result = replace(result, failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)))
+    result, remarks = refined(source, target, result, options)
     few = [few_points_notes(counts.points, option) for counts, option in zip(stages, options, strict=True)]
     return replace(
         result,
-        failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)),
         options=tuple(options),
-        notes=tuple(pair_notes(*both, option) + more for both, option, more in zip(facts, options, few, strict=True)),
+        notes=tuple(
+            pair_notes(*both, option) + more + last
+            for both, option, more, last in zip(facts, options, few, remarks, strict=True)
+        ),
         stages=stages,
     )
 

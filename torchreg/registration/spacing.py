@@ -203,6 +203,7 @@ def options_for(
         weights=(1.0, 0.8, 0.5) if colored else (1.0,),
         solver=CompatibilityOptions(inlier_threshold=_THRESHOLD_SPACINGS * spacing),
         effort=effort,
+        refine="none" if effort == "plain" else "full",
     )
     if effort != "fast":
         return options

@@ -39,6 +39,12 @@ _PER_PAIR: dict[str, tuple[int, ...]] = {
     "strength": (),
     "runner_up": (4, 4),
     "margin": (),
+    "residual_median": (),
+    "residual_rms": (),
+    "residual_95": (),
+    "covariance": (6, 6),
+    "center": (3,),
+    "axis_strength": (6,),
 }
 """The size of fields that are float64 numbers of every pair."""
 
@@ -76,8 +82,20 @@ class RegistrationResult:
             overlap. Near 0 the pose slides along a plane, an axis or turns about one.
         runner_up: (B, 4, 4) float64, the best distinct other pose; NaN where there is none.
         margin: (B,) float64, log-odds of the pose less those of the runner-up; infinite where there is none.
-        candidates: of every pair, the poses that were weighed, best first.
+        candidates: of every pair, the poses that were weighed, best first, as they were before refinement; overlap,
+            information, strength, runner_up and margin are those of the pose then, too.
         stages: of every pair, counts of each stage.
+        residual_median: (B,) float64, meters, median of the distances between the surfaces of the overlap: of the small
+            planes (surfels) of the source that lie on those of the target, each to its partner's plane. NaN for a pair
+            that was not refined; ``None``, as are all that follow, where no refinement was asked for.
+        residual_rms: (B,) float64, meters, their root mean square.
+        residual_95: (B,) float64, meters, below which 95 % of them are.
+        covariance: (B, 6, 6) float64, of the pose: of a small turn about ``center`` (radians; x, y, z) and a shift
+            (meters) in the frame of the target's file, in this order: x_true = x + turn x (x - center) + shift.
+        center: (B, 3) float64, meters, in the frame of the target's file: the middle of the overlap.
+        axis_strength: (B, 6) float64 in [0, 1], how firmly the surfaces hold turns about x, y and z through ``center``
+            and shifts along them: the square root of the share of the surfaces' resistance that is left when all other
+            motions are free. 0.58 for each shift in a cube, 0 along a corridor.
     """
 
     T_target_source: Tensor
@@ -101,6 +119,12 @@ class RegistrationResult:
     margin: Tensor | None = None
     candidates: tuple[tuple[Candidate, ...], ...] = ()
     stages: tuple[StageCounts, ...] = ()
+    residual_median: Tensor | None = None
+    residual_rms: Tensor | None = None
+    residual_95: Tensor | None = None
+    covariance: Tensor | None = None
+    center: Tensor | None = None
+    axis_strength: Tensor | None = None
 
     explainer: ClassVar[Callable[[RegistrationResult, int], str]]
     """Writes the text of ``explain``; set by ``torchreg``, since its report stands above the types."""

@@ -1,0 +1,148 @@
+"""How well a settled pose is known: residuals, the covariance of the pose, and how firmly each motion is held.
+
+The covariance is that of the jackknife: cells of space are left out in turn, and the poses without each of them spread
+about as the pose itself does about the truth (Tukey, 1958; Cameron and Miller, A practitioner's guide to cluster-robust
+inference, 2015, doi:10.3368/jhr.50.2.317). Neighboring surfels share points and bends of a surface, so each says less
+than its noise suggests; how much less is read from the residuals of whole cells. What all cells have in common no such
+rule can see, such as a step of a wall that either scanner sees from its own side: ``INFLATION`` stands for it, measured
+on simulated scans (bench/refinement.py).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.numerics.sums import row_sums
+from torchreg.refinement.point_to_plane import jacobian
+from torchreg.refinement.settle import CUT, Settling
+
+INFLATION = 3.0
+"""Of the jackknife's variances."""
+
+_CELLS = (16.0, 8.0, 4.0, 2.0)  # spacings along a cell's edge: the first that gives enough cells
+_ENOUGH_CELLS = 30
+_LEAST_CELLS = 12  # twice the unknowns
+
+
+class Certainty(NamedTuple):
+    """Of one settled pose; NaN where too few surfels have partners."""
+
+    residuals: Tensor  # (3,) meters: median, root mean square and 95th percentile of the distances to planes
+    overlap: Tensor  # scalar, share of the source's surfels that lie on the target's
+    covariance: Tensor  # (6, 6) of a small turn about ``center`` (radians) and a shift (meters), target's frame
+    center: Tensor  # (3,) meters, in the centered frame of the target
+    held: Tensor  # (6,) in [0, 1], how firmly the turns about x, y, z and the shifts along them are held
+    size: Tensor  # scalar, meters, root mean square distance of the overlap's surfels from the center
+
+
+class _Overlap(NamedTuple):
+    """The surfels of one pair that lie on planes of the other, N of them."""
+
+    point: Tensor  # (3, N) meters, in the centered frame of the target
+    normal: Tensor  # (3, N)
+    distance: Tensor  # (N,) meters, to the planes
+    deviation: Tensor  # (N,) meters, by which noise alone moves it
+    share: Tensor  # (N,) of the distance at which surfels lose all weight, in (-1, 1)
+    of_all: Tensor  # scalar, share of the source's surfels
+
+
+def certainty(settling: Settling, number: int, spacing: float) -> Certainty:
+    """Of pair ``number``; ``spacing``, meters, is that of its surfels."""
+    shared = _overlap_of(settling, number)
+    count = len(shared.distance)
+    nothing = shared.of_all.new_full((), torch.nan)
+    if count < _LEAST_CELLS:
+        few = nothing.expand(3)
+        return Certainty(few, shared.of_all, nothing.expand(6, 6), few, nothing.expand(6), nothing)
+    center = _means(shared.point)
+    size = _means((shared.point - center[:, None]).square().sum(dim=0, keepdim=True)).sqrt()  # (1,)
+    at = ((shared.point - center[:, None]) / size)[:, None]
+    J = jacobian(at, shared.normal[:, None], shared.distance[None])[:6, 0]  # (6, N), turns in units of 1 / size
+    units = torch.cat([1 / size.expand(3), torch.ones_like(size).expand(3)])
+    covariance = INFLATION * _jackknife(J, shared, spacing) * units[:, None] * units
+    resisted = torch.diagonal(_inverse(_products(J, torch.ones_like(shared.distance))))
+    held = (1 / (count * resisted)).clamp(min=0, max=1).sqrt()
+    size_of = shared.distance.abs()
+    residuals = torch.stack([size_of.median(), _means(size_of.square()[None])[0].sqrt(), _quantile(size_of, 0.95)])
+    return Certainty(residuals, shared.of_all, covariance, center, held, size[0])
+
+
+def agreeing(settling: Settling, number: int) -> int:
+    """How many surfels of the source of pair ``number`` lie on the target's."""
+    return len(_overlap_of(settling, number).distance)
+
+
+def _overlap_of(settling: Settling, number: int) -> _Overlap:
+    blocks, shown = settling.matches.blocks, settling.residuals
+    end = sum(blocks.counts[: number + 1])
+    rows = slice(end - blocks.counts[number], end)
+    deviation = (shown.variance[rows] + settling.spread.excess[number]).sqrt()
+    share = shown.distance[rows] / deviation / (CUT * settling.spread.scale[number])
+    kept = (shown.alike[rows] & (share.abs() < 1)).reshape(-1)
+
+    def chosen(values: Tensor) -> Tensor:
+        return values.reshape(*values.shape[:-2], -1)[..., kept]
+
+    return _Overlap(
+        point=chosen(settling.matches.moved[:, rows]),
+        normal=chosen(shown.normal[:, rows]),
+        distance=chosen(shown.distance[rows]),
+        deviation=chosen(deviation),
+        share=chosen(share),
+        of_all=kept.sum().double() / blocks.real[rows].sum(),
+    )
+
+
+def _jackknife(J: Tensor, shared: _Overlap, spacing: float) -> Tensor:
+    """The covariance (6, 6) of the estimate whose rows are J (6, N); NaN where there are few cells."""
+    squares = shared.share * shared.share
+    per_noise = 1 / (shared.deviation * shared.deviation)
+    stiffness = (1 - squares) * (1 - 5 * squares) * per_noise  # the slope of Tukey's influence
+    pulls = J * ((1 - squares) ** 2 * per_noise * shared.distance)  # (6, N)
+    products = (J[:, None] * J * stiffness).view(36, -1)
+    for cells in _CELLS:
+        sums = _cell_sums(shared.point, torch.cat([pulls, products]), cells * spacing)  # (C, 42)
+        if len(sums) >= _ENOUGH_CELLS:
+            break
+    if len(sums) < _LEAST_CELLS:
+        return J.new_full((6, 6), torch.nan)
+    pull, own = sums[:, :6], sums[:, 6:].view(-1, 6, 6)
+    whole = own.cumsum(dim=0)[-1]
+    moved = torch.linalg.solve_ex(whole - own, pull)[0]  # (C, 6), the update without each cell
+    covariance = (moved[:, :, None] * moved[:, None]).cumsum(dim=0)[-1] * ((len(moved) - 1) / len(moved))
+    sound = (torch.linalg.eigvalsh(whole)[0] > 0) & torch.isfinite(covariance).all()
+    return torch.where(sound, covariance, torch.nan)
+
+
+def _means(values: Tensor) -> Tensor:
+    return row_sums(values) / values.shape[1]
+
+
+def _products(J: Tensor, weight: Tensor) -> Tensor:
+    """Sum of w J J^T (6, 6) over rows (6, N)."""
+    return row_sums(J[:, None] * J * weight)
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """The inverse of a symmetric matrix; infinite on the diagonal where it has none."""
+    values, vectors = torch.linalg.eigh(matrix)
+    sound = values[0] > 1e-12 * values[-1]
+    return torch.where(sound, (vectors / values) @ vectors.t(), torch.inf)
+
+
+def _cell_sums(points: Tensor, values: Tensor, edge: float) -> Tensor:
+    """Sums (C, K) of values (K, N) over cubes of points (3, N), in a fixed order."""
+    corner = torch.floor(points / edge).long().t()
+    _, cell = corner.unique(dim=0, return_inverse=True)
+    order = cell.argsort(stable=True)
+    ends = torch.bincount(cell).cumsum(0) - 1
+    running = values[:, order].cumsum(dim=1)[:, ends]
+    return torch.diff(running, dim=1, prepend=torch.zeros_like(running[:, :1])).t()
+
+
+def _quantile(values: Tensor, share: float) -> Tensor:
+    ordered = values.sort().values
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]

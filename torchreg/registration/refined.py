@@ -1,0 +1,104 @@
+"""The last stage: the poses of pairs that succeed, refined on surfels of both clouds, and the result with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.se3 import apply_rotation
+from torchreg.neighborhoods.coverage import Coverage, coverage
+from torchreg.refinement.refine import Refined, refine_on_surfels
+from torchreg.registration.described import DescribedClouds
+from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.stopwatch import stage
+from torchreg.types import Clouds, RegistrationResult
+from torchreg.types.packing import spans
+
+_LEAST_KEPT = 0.95  # of how well the thinned clouds cover each other
+_WORSE = "the thinned clouds would cover each other less"
+
+Notes = tuple[tuple[str, ...], ...]
+"""Of every pair."""
+
+
+class _Fit(NamedTuple):
+    """One pair under its refined pose, measured as the result has it."""
+
+    near: Coverage
+    inliers: Tensor  # (M,) bool, of its matches
+
+
+@stage("refinement")
+def refined(
+    source: DescribedClouds,
+    target: DescribedClouds,
+    result: RegistrationResult,
+    options: Sequence[RegistrationOptions],
+) -> tuple[RegistrationResult, Notes]:
+    """The result with refined poses, and a note for every pair whose pose stays as it was found.
+
+    ``fitness``, ``inlier_rmse`` and ``inliers`` follow the poses; what was weighed before stays.
+    """
+    if source.surfels is None or target.surfels is None:
+        return result, ((),) * len(result)
+    thresholds = [option.inlier_threshold for option in options]
+    failed = [failure is not None for failure in result.failure]
+    done = refine_on_surfels(source.surfels, target.surfels, result.T_target_source, thresholds, failed)
+    fitness, rmse, inliers = result.fitness.clone(), result.inlier_rmse.clone(), result.inliers.clone()
+    rows, reasons, kept = spans(result.correspondences.offsets), list(done.reason), [False] * len(result)
+    for b, (one, other) in enumerate(zip(result.source.unpack(), result.target.unpack(), strict=True)):
+        if failed[b] or reasons[b]:
+            continue
+        fit = _fit(one, other, result, b, done.T_target_source[b], thresholds[b])
+        before = _cover(Coverage(fitness[b], rmse[b]), thresholds[b])
+        if bool(_cover(fit.near, thresholds[b]) < _LEAST_KEPT * before):
+            reasons[b] = _WORSE
+            continue
+        kept[b] = True
+        fitness[b], rmse[b] = fit.near
+        inliers[slice(*rows[b])] = fit.inliers
+    changed = replace(
+        result,
+        fitness=fitness,
+        inlier_rmse=rmse,
+        inliers=inliers,
+        **_figures(done, torch.tensor(kept, device=fitness.device), result.T_target_source),
+    )
+    return changed, tuple((f"the pose is not refined: {reason}",) if reason else () for reason in reasons)
+
+
+def _figures(done: Refined, kept: Tensor, before: Tensor) -> dict[str, Any]:
+    """The fields of the result that refinement fills, of the pairs (B,) that keep it."""
+    median, rms, most = done.residuals.unbind(dim=1)
+    figures = {
+        "residual_median": median,
+        "residual_rms": rms,
+        "residual_95": most,
+        "covariance": done.covariance,
+        "center": done.center,
+        "axis_strength": done.held,
+    }
+    places = {name: kept.view(-1, *[1] * (value.ndim - 1)) for name, value in figures.items()}
+    shown = {name: torch.where(places[name], value, torch.nan) for name, value in figures.items()}
+    return {"T_target_source": torch.where(kept[:, None, None], done.T_target_source, before), **shown}
+
+
+def _cover(near: Coverage, threshold: float) -> Tensor:
+    """The mean over all source points of 1 - (distance / threshold)^2, 0 for those without a partner."""
+    return near.fitness * (1 - (near.inlier_rmse / threshold).square())
+
+
+def _fit(source: Clouds, target: Clouds, result: RegistrationResult, b: int, T: Tensor, threshold: float) -> _Fit:
+    """Of pair ``b``, whose thinned clouds are ``source`` and ``target``, under a transform (4, 4)."""
+    R = T[:3, :3]
+    t = T[:3, 3] + apply_rotation(R, source.origin[0]) - target.origin[0]
+    rows = slice(*spans(result.correspondences.offsets)[b])
+    one = result.source.points[result.correspondences.source[rows]].double()
+    other = result.target.points[result.correspondences.target[rows]].double()
+    apart = apply_rotation(R, one) + t - other
+    inside = apart.square().sum(dim=1) < threshold**2
+    return _Fit(coverage(source.points, target.points, R, t, threshold), inside)
