@@ -3,6 +3,7 @@
 import ast
 import importlib
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -45,6 +46,20 @@ def test_code_compiles_and_files_that_are_named_exist(page):
         assert (ROOT / file).exists(), file
     for script in re.findall(r"python (bench/\w+\.py)", page.read_text()):
         assert (ROOT / script).exists(), script
+
+
+def test_git_ignores_what_the_readmes_commands_write():
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a clone")
+    commands = "\n".join(re.findall(r"^```sh\n(.*?)^```", (ROOT / "README.md").read_text(), re.DOTALL | re.MULTILINE))
+    files = re.findall(r"--(?:figure|json|aligned|matches|out) (\S+)", commands) + re.findall(
+        r"convert \S+ (\S+)", commands
+    )
+    files += re.findall(r"`torchreg demo --figure (\S+)`", (ROOT / "README.md").read_text())
+    assert len(files) >= 7
+    for file in files:
+        path = f"{file}/x" if "." not in file else file
+        assert subprocess.run(["git", "check-ignore", "-q", path], cwd=ROOT).returncode == 0, file
 
 
 def test_the_readmes_options_are_what_they_say():

@@ -268,7 +268,9 @@ class Settings(StageSettings):
         solver, effort = self._solver(start), self.effort or start.effort
         for name, _, known in self._given():
             idle = known.of_ransac and solver != RansacOptions.name and effort != "thorough"
-            expect(not idle, name, "the solver ransac or the effort thorough beside it", f"{solver}, {effort}")
+            if idle:
+                got = f"the solver {solver} and the effort {effort}"
+                raise ValueError(f"{name}: expected the solver ransac or the effort thorough beside it, got {got}")
 
     def _solver(self, options: RegistrationOptions) -> str:
         return options.solver.name if self.solver is None else self.solver

@@ -66,6 +66,7 @@ def test_a_batch_without_any_truth_or_time_says_nothing_of_them():
     console = Console(width=200)
     with console.capture() as capture:
         console.print(summary_table(found))
+    assert "1 pair of 2 clouds" in capture.get()
     assert "recall" not in capture.get()
     assert "work" not in capture.get()
     assert "registered, fitness 0.400" in capture.get()

@@ -80,6 +80,23 @@ def test_a_row_has_the_kind_of_its_failure(batch, room, tmp_path):
     record = json.loads(file.read_text())
     assert (line["state"], line["failure"]) == ("refused", "degenerate")
     assert (record["failure"]["kind"], record["reason"]) == ("degenerate", line["reason"])
+    for name in ("T_target_source", "likeliest_T_target_source"):
+        assert (record[name], line[name]) == (None, "")
+
+
+def test_the_likeliest_pose_of_a_refused_pair_is_kept_apart(batch, room, tmp_path):
+    tr.write_cloud(tmp_path / "other.ply", room_pair(3000, seed=5, scale=0.8).source)
+    table = write_table(tmp_path / "p.csv", [{"source": "other.ply", "target": room.target}])
+    assert batch(table).exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    assert (line["state"], line["T_target_source"]) == ("refused", "")
+    (file,) = (tmp_path / "out" / "pairs").iterdir()
+    record = json.loads(file.read_text())
+    likeliest = torch.tensor(record["likeliest_T_target_source"], dtype=torch.float64)
+    numbers = [float(number) for number in line["likeliest_T_target_source"].split()]
+    assert numbers == likeliest.flatten().tolist()
+    assert record["T_target_source"] is None
+    assert likeliest.tolist() == record["candidates"][0]["T_target_source"]
 
 
 def test_the_tables_agree(batch, project, tmp_path):
@@ -116,7 +133,8 @@ def test_the_lengths_of_a_pair_alone_are_those_that_register_derives(batch, tmp_
     read = [tr.read_cloud(tmp_path / f"{name}.ply") for name in "ab"]
     alone = tr.register(*read, effort="fast")
     assert record["options"] == plain_data(alone.options[0])
-    assert record["T_target_source"] == alone.T_target_source[0].tolist()
+    pose = "T_target_source" if bool(alone.success[0]) else "likeliest_T_target_source"
+    assert record[pose] == alone.T_target_source[0].tolist()
 
 
 def test_every_pair_has_its_own_lengths_where_that_is_asked_for(batch, project, tmp_path):
@@ -326,8 +344,8 @@ def test_other_options_are_refused_by_name_and_what_is_finished_stands(batch, pr
     assert batch(project.table).exit_code == 0
     before = (tmp_path / "out" / "results.csv").read_bytes()
     for words, named in [
-        (("--effort", "fast"), "effort None there and 'fast' now"),
-        (("--voxel", "0.1"), "voxel None there and 0.1 now"),
+        (("--effort", "fast"), "effort not given there and fast now"),
+        (("--voxel", "0.1"), "voxel not given there and 0.1 now"),
         (("--seed", "3"), "seed 0 there and 3 now"),
         (("--recall-degrees", "5"), "recall"),
     ]:

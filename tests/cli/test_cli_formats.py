@@ -8,6 +8,7 @@ from made_e57 import write_e57
 
 import torchreg as tr
 from torchreg.cli.progress import points_rate, reading_bar
+from torchreg.cli.wording import by_options
 
 
 def fields(cloud):
@@ -37,11 +38,11 @@ def test_two_scans_of_one_file_are_registered(run, project, room):
         assert result["truth"]["rre_degrees"] < 2
     ended = run("register", project, project)
     assert ended.exit_code == 2
-    assert "a file of 2 scans (0 'first', 1 'second')" in ended.stderr
+    assert "expected one scan, or --scan to choose one, got a file of 2 scans (0 'first', 1 'second')" in ended.stderr
 
 
 def test_info_of_a_scan(run, project):
-    shown = json.loads(run("info", project, "--scan", "second", "--json").stdout)
+    shown = json.loads(run("info", project, "--scan", "second", "--json", "-").stdout)
     assert (shown["scan"], shown["pose"], shown["has_intensity"], shown["unit"]) == ("second", None, False, None)
     assert "second" in run("info", project, "--scan", "1").stdout
 
@@ -49,10 +50,35 @@ def test_info_of_a_scan(run, project):
 def test_columns_and_units_of_text(run, tmp_path):
     points = np.random.default_rng(0).uniform(0, 3000, (300, 3))
     np.savetxt(tmp_path / "a.txt", np.concatenate([points[:, ::-1], np.full((300, 1), 7)], axis=1))
-    words = ("info", tmp_path / "a.txt", "--columns", "zyx_", "--units", "mm", "--json")
+    words = ("info", tmp_path / "a.txt", "--columns", "zyx_", "--units", "mm", "--json", "-")
     shown = json.loads(run(*words).stdout)
     np.testing.assert_allclose(shown["extent"], np.ptp(points, axis=0) / 1000, rtol=1e-12)
     assert run("info", tmp_path / "a.txt", "--units", "mile").exit_code == 2
+
+
+def test_notes_and_errors_name_options_and_no_arguments_of_python(run, room, tmp_path):
+    rng = np.random.default_rng(0)
+    rows = np.concatenate((rng.uniform(0, 5, (300, 3)), rng.integers(256, size=(300, 3))), axis=1)
+    np.savetxt(tmp_path / "a.txt", rows, fmt=["%.4f"] * 3 + ["%d"] * 3)
+    for words in (("info", tmp_path / "a.txt"), ("register", tmp_path / "a.txt", tmp_path / "a.txt")):
+        shown = " ".join(run(*words).stdout.split())
+        assert "(--columns names others)" in shown
+        assert "columns=" not in shown
+    assert "no --columns for a file that" in run("info", room.source, "--columns", "x y z").stderr
+    assert "expected --columns of x, y, z" in run("info", tmp_path / "a.txt", "--columns", "x y q").stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("scan= to choose one", "--scan to choose one"),
+        ("units='file' makes them meters", "--units file makes them meters"),
+        ("target_scan=", "--target-scan"),
+        ("a scan, columns, x=3 and rescan= stay", "a scan, columns, x=3 and rescan= stay"),
+    ],
+)
+def test_arguments_become_options(text, words):
+    assert by_options(text) == words
 
 
 def test_large_files_are_thinned_while_they_are_read_and_the_result_says_so(run, project, room, monkeypatch):

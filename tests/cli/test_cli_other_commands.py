@@ -28,7 +28,7 @@ def test_info(run, room):
 
 
 def test_info_as_json(run, room):
-    found = json.loads(run("info", room.source, "--json").stdout, parse_constant=pytest.fail)
+    found = json.loads(run("info", room.source, "--json", "-").stdout, parse_constant=pytest.fail)
     cloud = tr.read_cloud(room.source)
     assert found["points_in_file"] == len(cloud.points)
     assert found["spacing"] == pytest.approx(float(tr.spacing(cloud)))
@@ -36,8 +36,17 @@ def test_info_as_json(run, room):
     assert found["viewpoint"] == pytest.approx((cloud.viewpoint[0] + cloud.origin[0]).tolist(), abs=1e-6)
     assert found["viewpoint_known"] is True
     assert found["cannot_be_registered"] is None
-    none = json.loads(run("info", room.source, "--json", "--viewpoint", "none").stdout)
+    none = json.loads(run("info", room.source, "--json", "-", "--viewpoint", "none").stdout)
     assert (none["viewpoint"], none["viewpoint_known"]) == (None, False)
+
+
+def test_json_of_info_as_a_file(run, room, tmp_path):
+    """As everywhere: a file beside the table, or standard output alone."""
+    result = run("info", room.source, "--json", tmp_path / "i.json")
+    assert "spacing" in result.stdout
+    assert result.stderr == f"torchreg: wrote {tmp_path / 'i.json'}\n"
+    assert json.loads((tmp_path / "i.json").read_text()) == json.loads(run("info", room.source, "--json", "-").stdout)
+    assert run("info", room.source, "--json", tmp_path / "no" / "i.json").exit_code == 2
 
 
 def test_info_tells_an_assumed_viewpoint_from_a_known_one(run, room, plain):
@@ -45,7 +54,7 @@ def test_info_tells_an_assumed_viewpoint_from_a_known_one(run, room, plain):
     assert "the origin of the file's frame, assumed" in run("info", path).stdout
     assert "the origin of the file's frame, as asked for" in run("info", path, "--viewpoint", "origin").stdout
     for viewpoint in ("auto", "origin"):
-        found = json.loads(run("info", path, "--json", "--viewpoint", viewpoint).stdout)
+        found = json.loads(run("info", path, "--json", "-", "--viewpoint", viewpoint).stdout)
         assert found["viewpoint"] == [0, 0, 0]
         assert found["viewpoint_known"] is (viewpoint == "origin")
 
@@ -53,7 +62,7 @@ def test_info_tells_an_assumed_viewpoint_from_a_known_one(run, room, plain):
 def test_info_on_what_cannot_be_registered(run, cloud_file):
     path = cloud_file("same.ply", torch.ones(9, 3))
     assert "coincide" in run("info", path).stdout
-    found = json.loads(run("info", path, "--json").stdout)
+    found = json.loads(run("info", path, "--json", "-").stdout)
     assert (found["options"], found["spacing"]) == (None, 0)
     assert "all 9 points of it coincide" in found["cannot_be_registered"]
 
@@ -84,6 +93,35 @@ def test_demo(run, tmp_path):
     found, first = json.loads(again.stdout), json.loads((out / "result.json").read_text())
     assert found["truth"]["rmse_meters"] < found["options"]["solver"]["inlier_threshold"]
     assert found["T_target_source"] == first["T_target_source"]
+
+
+def test_demo_leaves_nothing_behind_and_says_at_once_what_it_does(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run("demo", "--angular-step", "2")
+    assert list(tmp_path.iterdir()) == []
+    assert result.stderr.splitlines()[0] == "torchreg: scanning a simulated mall from two stations"
+    assert "registering by default" in result.stderr
+    assert "wrote" not in result.stderr
+    assert "--figure" in result.stdout
+
+
+def test_the_command_speaks_before_it_loads_pytorch():
+    """The first line of the demo comes before anything of the package is imported."""
+    code = """
+import sys
+import torchreg_command
+sys.argv = ["torchreg", "demo", "--angular-step", "nonsense"]
+class Spy:
+    def find_spec(self, name, *_):
+        if name == "torchreg":
+            raise SystemExit("loading")
+sys.meta_path.insert(0, Spy())
+torchreg_command.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+    said, loading = ended.stderr.splitlines()
+    assert said.startswith("torchreg: two scans of a simulated mall")
+    assert loading == "loading"
 
 
 RIDDLES = re.compile(r"\(an? (switch|name|text|path|count|number)\b|no unit|unless told|goes? on")
@@ -184,7 +222,7 @@ print([name for name in ("open3d", "matplotlib", "kornia") if name in sys.module
 
 def test_module_and_closed_pipe(room):
     """``python -m torchreg info FILE | true``: no traceback, and no success either."""
-    command = [sys.executable, "-m", "torchreg", "info", room.source, "--json"]
+    command = [sys.executable, "-m", "torchreg", "info", room.source, "--json", "-"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
     message = process.stderr.read().decode()

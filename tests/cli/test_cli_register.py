@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from problems import room_pair
 
 import torchreg as tr
 from torchreg.io import read_transform_text
@@ -18,6 +19,7 @@ def test_all_outputs_of_a_good_pair(run, room, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
+    assert f"torchreg: wrote {', '.join(map(str, outputs.values()))}\n" in result.stderr
 
     found = json.loads(outputs["result.json"].read_text(), parse_constant=pytest.fail)
     assert (found["success"], found["reason"], found["seed"]) == (True, "", 0)
@@ -59,7 +61,7 @@ def test_table_says_what_was_found(run, room):
     assert "not registered" not in result.stdout
     assert room.source in result.stdout.replace("\n", "")
     assert "0.000000000 0.000000000" in " ".join(result.stdout.split())
-    assert result.stderr == ""
+    assert "wrote" not in result.stderr
 
 
 def test_json_on_standard_output_stands_alone(run, room):
@@ -152,6 +154,72 @@ def test_a_failed_registration_says_why_and_writes_no_transform(run, room, cloud
     found = json.loads(outputs["r.json"].read_text(), parse_constant=pytest.fail)
     assert found["success"] is False
     assert found["reason"] in result.stdout
+
+
+@pytest.fixture(scope="module")
+def strangers(room, tmp_path_factory):
+    """A cloud that is not of the room; registered to it, it is refused with a likeliest pose."""
+    folder = tmp_path_factory.mktemp("strangers")
+    tr.write_cloud(folder / "other.ply", room_pair(3000, seed=5, scale=0.8).source)
+    return folder / "other.ply"
+
+
+def test_a_refused_pair_keeps_its_likeliest_pose_apart_and_is_judged(run, room, strangers, tmp_path):
+    result = run(
+        *("register", strangers, room.target, "--truth", room.truth, "--json", tmp_path / "r.json"),
+        *("--transform", tmp_path / "T.txt", "--aligned", tmp_path / "a.ply", "--figure", tmp_path / "p.png"),
+    )
+    assert result.exit_code == 3, result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p.png", "r.json"]
+    found = json.loads((tmp_path / "r.json").read_text(), parse_constant=pytest.fail)
+    assert (found["T_target_source"], found["quaternion"], found["translation"]) == (None, None, None)
+    likeliest = torch.tensor(found["likeliest_T_target_source"], dtype=torch.float64)
+    truth = read_transform_text(room.truth)
+    assert found["truth"]["rre_degrees"] == pytest.approx(float(tr.metrics.rre(truth, likeliest)))
+    assert "the likeliest pose, which was refused: RRE" in result.stdout
+    assert f"{tmp_path / 'T.txt'} and {tmp_path / 'a.ply'} not written: the pair was refused (--force" in result.stderr
+    assert f"wrote {tmp_path / 'r.json'}, {tmp_path / 'p.png'}\n" in result.stderr
+
+
+def test_force_writes_by_the_likeliest_pose_and_says_so(run, room, strangers, tmp_path):
+    words = ("--transform", tmp_path / "T.txt", "--aligned", tmp_path / "a.ply", "--force")
+    result = run("register", strangers, room.target, "--json", tmp_path / "r.json", *words)
+    assert result.exit_code == 3
+    likeliest = json.loads((tmp_path / "r.json").read_text())["likeliest_T_target_source"]
+    assert read_transform_text(tmp_path / "T.txt").tolist() == likeliest
+    assert len(tr.read_cloud(tmp_path / "a.ply").points) == len(tr.read_cloud(strangers).points)
+    assert "by the likeliest pose of a refused pair, which is not trusted" in result.stderr
+
+
+def test_force_has_nothing_to_write_without_a_pose(run, room, cloud_file, tmp_path):
+    result = run(
+        "register", cloud_file("two.ply", torch.eye(3)[:2]), room.target, "--transform", tmp_path / "T", "--force"
+    )
+    assert result.exit_code == 3
+    assert "not written: no pose was found" in result.stderr
+    assert not (tmp_path / "T").exists()
+
+
+def test_the_figure_of_a_refused_pair_has_its_likeliest_pose(run, room, strangers, tmp_path, monkeypatch):
+    headings = []
+    monkeypatch.setattr(
+        "torchreg.report.save_figure",
+        lambda figure, path: headings.append([figure.get_suptitle(), *(ax.get_title() for ax in figure.axes)]),
+    )
+    assert run("register", strangers, room.target, "--figure", tmp_path / "p.png").exit_code == 3
+    ((title, *columns),) = headings
+    assert "likeliest pose, refused" in columns
+    assert title.startswith("other.ply to target.ply: not registered (")
+
+
+def test_a_long_step_is_named_on_a_line_where_there_is_no_terminal(run, room, monkeypatch):
+    monkeypatch.setattr("torchreg.cli.progress._SHORT_STEP", 0.0)
+    monkeypatch.setattr("torchreg.cli.progress._SILENT_SECONDS", 0.0)
+    result = run("register", room.source, room.target, "--json", "-")
+    assert "torchreg: registering source.ply to target.ply\n" in result.stderr
+    json.loads(result.stdout)
+    monkeypatch.setattr("torchreg.cli.progress._SHORT_STEP", 1e3)
+    assert "registering" not in run("register", room.source, room.target, "--json", "-").stderr
 
 
 def test_a_failure_under_json_keeps_the_reason_on_standard_error(run, room, cloud_file):

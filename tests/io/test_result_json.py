@@ -14,7 +14,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from problems import turned
-from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, verified_result
+from results import OPTIONS, PROPOSALS, STAGES, bare_result, candidate, failed_result, verified_result
 
 from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io import read_transform_text, result_to_dict, write_result_json
@@ -128,14 +128,28 @@ def test_a_failed_pair(tmp_path):
     assert found["failure"] == {"kind": "too few matches", "figures": {"matches": 2, "needed": 3}}
     assert found["inlier_rmse"] is None
     assert (found["counts"]["correspondences"], found["counts"]["inliers"]) == (2, 1)
-    assert found["quaternion"] == {"w": 1, "x": 0, "y": 0, "z": 0}
+    for key in ("T_target_source", "quaternion", "translation", "likeliest_T_target_source"):
+        assert found[key] is None  # there is no pose at all
     write_result_json(tmp_path / "r.json", a_result(), 1, **NAMES)
     with pytest.raises(ValueError, match="a registration that succeeded, got one that failed"):
         read_transform_text(tmp_path / "r.json")
 
 
+def test_the_pose_of_a_refused_pair_has_a_key_of_its_own(tmp_path):
+    """So that nobody who reads ``T_target_source`` takes a pose that is not trusted for one that is."""
+    result = failed_result("ambiguous", T_target_source=turned(10)[None])
+    write_result_json(tmp_path / "r.json", result, **NAMES)
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert (found["T_target_source"], found["quaternion"], found["translation"]) == (None, None, None)
+    assert found["likeliest_T_target_source"] == turned(10).tolist()
+    with pytest.raises(ValueError, match="a registration that succeeded, got one that failed"):
+        read_transform_text(tmp_path / "r.json")
+    assert result_to_dict(verified_result(), **NAMES)["likeliest_T_target_source"] is None
+
+
 KEYS = [
     *("source", "target", "success", "reason", "failure", "notes", "T_target_source", "quaternion", "translation"),
+    "likeliest_T_target_source",
     *(
         "fitness",
         "inlier_rmse",

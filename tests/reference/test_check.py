@@ -51,7 +51,7 @@ def test_a_good_pair_in_a_table(run, files):
         assert words in result.stdout
     assert result.stdout.count("0.000000000") >= 6  # two transforms
     assert "FPFH agree; torchreg registered, its pose turned by" in " ".join(result.stdout.split())
-    assert result.stderr == ""
+    assert all("registering" in line for line in result.stderr.splitlines())  # how it goes, where it takes long
 
 
 def test_json_on_standard_output_stands_alone(run, files):
@@ -67,7 +67,7 @@ def test_json_on_standard_output_stands_alone(run, files):
     assert found["options"]["solver"]["confidence"] < 1
     assert found["torchreg"]["truth"] is None
     assert found["versions"]["open3d"]
-    assert result.stderr.startswith("torchreg: FPFH agree; torchreg registered, its pose turned by")
+    assert result.stderr.splitlines()[-1].startswith("torchreg: FPFH agree; torchreg registered, its pose turned by")
 
 
 def test_json_to_a_file_comes_beside_the_table(run, files, tmp_path):

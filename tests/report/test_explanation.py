@@ -52,7 +52,7 @@ def test_every_stage_has_its_line():
     assert "downsampled to voxels" in line(text, "Note")
     assert PROPOSALS[0].origin in line(text, "Pose")
     assert "52 % of the points" in line(text, "Overlap")
-    assert "0.31 of 1: the surfaces hold the pose in every direction" in line(text, "Strength")
+    assert "0.31 of 1: held 3.2 times less firmly in its loosest direction" in line(text, "Strength")
     assert "fitness 0.61" in line(text, "Fit")
     assert "inlier_rmse 0.0123 m" in line(text, "Fit")
     assert line(text, "Verdict").endswith("registered, probability 0.998 that the pose is right")
@@ -152,7 +152,14 @@ def test_no_runner_up():
 
 
 @pytest.mark.parametrize(
-    ("strength", "words"), [(0.001, "slide or turn"), (0.05, "weakly"), (0.5, "in every direction")]
+    ("strength", "words"),
+    [
+        (0.0, "held far less firmly in its loosest direction than in its firmest: it can slide or turn there"),
+        (0.02, "held 50 times less firmly in its loosest direction than in its firmest: it can slide or turn there"),
+        (0.05, "held 20 times less firmly in its loosest direction than in its firmest, which is weak"),
+        (0.163, "held 6.1 times less firmly in its loosest direction than in its firmest, which is usual"),
+        (0.9, "held about as firmly in every direction"),
+    ],
 )
 def test_strength_is_put_in_words(strength, words):
     assert words in line(verified_result(strength=number(strength)).explain(), "Strength")

@@ -53,7 +53,8 @@ def test_three_sides_before_after_and_in_colors(twin):
     assert headings[:3] == ["before", "after", "after, in true colors"]
     assert len(headings) == 9
     assert figure.get_suptitle() == "a title"
-    assert [ax.get_ylabel().split(" view")[0] for ax in figure.axes[::3]] == ["top", "front", "side"]
+    views = [ax.get_ylabel().splitlines()[0] for ax in figure.axes[::3]]
+    assert views == ["view along -z", "view along y", "view along -x"]  # a room turned at random
     assert all("(m)" in ax.get_xlabel() for ax in figure.axes)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels[0].startswith("source, ")
@@ -137,6 +138,39 @@ def test_clouds_far_from_each_other_are_drawn_together(twin):
     near = panel_pixels(registration_figure(source, target, T))
     assert ink(panels[0, 1]) == pytest.approx(ink(near[0, 1]), rel=0.02)
     assert ink(panels[0, 0]) > 0.01
+
+
+def test_the_pose_of_a_refused_pair_is_drawn_and_marked(twin):
+    source, target, T = twin
+    refused = registration_figure(source, target, T, refused=True)
+    headings = [ax.get_title() for ax in refused.axes[:3]]
+    assert headings == ["before", "likeliest pose, refused", "likeliest pose, refused, in true colors"]
+    trusted = panel_pixels(registration_figure(source, target, T))
+    assert (panel_pixels(refused)[0, 1] == trusted[0, 1]).all()
+
+
+def test_a_cloud_of_one_color_has_no_true_colors(twin):
+    source, target, T = twin
+    white = tr.Clouds(points=source.points, colors=torch.ones_like(source.points))
+    assert len(registration_figure(white, target, T).axes) == 6
+
+
+@pytest.mark.parametrize(
+    ("shape", "views", "words"),
+    [
+        ("hall", ["top view, along -z", "front view, along y", "side view, along -x"], "Up is z, from a floor"),
+        ("ball", ["view along -z", "view along y", "view along -x"], "Which way is up is not known: no floor"),
+    ],
+)
+def test_views_are_called_top_and_front_only_where_up_is_known(shape, views, words):
+    points = torch.nn.functional.normalize(torch.randn(3000, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    cloud = tr.Clouds(points=points)
+    if shape == "hall":
+        cloud = tr.datasets.mall(seed=1, angular_step=1.5).target
+        cloud = tr.Clouds(points=cloud.points, viewpoint=cloud.viewpoint)
+    figure = registration_figure(cloud, cloud, torch.eye(4))
+    assert [ax.get_ylabel().splitlines()[0] for ax in figure.axes[::2]] == views
+    assert figure.legends[0].get_title().get_text().startswith(words)
 
 
 def test_demo_figure(twin):

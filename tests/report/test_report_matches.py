@@ -14,7 +14,7 @@ from refusals import refuses
 from results import bare_result
 
 import torchreg as tr
-from torchreg.report import correspondence_figure
+from torchreg.report import correspondence_figure, registration_figure
 from torchreg.report.correspondences import INLIER_COLOR, OUTLIER_COLOR, MatchEnds, drawn_matches, match_ends
 from torchreg.report.scene import scene_of
 from torchreg.report.views import layout_of
@@ -141,27 +141,64 @@ def test_the_clouds_stand_apart(registered, success):
     assert np.count_nonzero(layout.shift) == 1
 
 
+def camera_cloud():
+    """A wall as a camera saw it that looks along z with y down: green below, red above."""
+    points = (torch.rand(2000, 3, generator=torch.Generator().manual_seed(0)) - 0.5) * torch.tensor([4.0, 2, 0.1])
+    points = points + torch.tensor([0.0, 0, 3])
+    colors = torch.stack((points[:, 1] < 0, points[:, 1] >= 0, torch.zeros(2000) > 0), dim=1).float()
+    return tr.Clouds(points=points, colors=colors, viewpoint=torch.zeros(1, 3))
+
+
 def test_a_camera_sees_what_it_saw():
-    """Clouds before a camera that looks along z with y down are drawn as in its image."""
-    points = torch.rand(2000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([4.0, 2, 0.3]) + 2
-    cloud = tr.Clouds(points=points, viewpoint=torch.zeros(1, 3))
-    layout = layout_of(points.numpy(), scene_of(cloud, cloud, 2000))
-    assert (layout.view.depth, layout.behind) == (2, True)
-    above = tr.Clouds(points=points, viewpoint=torch.tensor([[3.0, 3.0, 9.0]]))
-    assert not layout_of(points.numpy(), scene_of(above, above, 2000)).behind
-    figure = correspondence_figure(cloud, cloud, bare_result())
-    assert figure.axes[0].yaxis_inverted()
-    assert figure.axes[0].get_title().startswith("seen along z;")
+    """As in its image: what has a larger y is lower, what has a larger x is on the right."""
+    cloud = camera_cloud()
+    layout = layout_of(cloud.points.double().numpy(), scene_of(cloud, cloud, 2000))
+    assert layout.view.name == "front"
+    ax = correspondence_figure(cloud, cloud, bare_result()).axes[0]
+    assert not ax.yaxis_inverted()
+    assert not ax.xaxis_inverted()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (m)", "-y (m)")
+    assert ax.get_title().startswith("front view, along z;")
+    drawn, colors = ax.collections[0].get_offsets(), ax.collections[0].get_facecolors()
+    red = colors[:, 0] > colors[:, 1] + 0.1
+    assert red.mean() == pytest.approx(0.5, abs=0.1)
+    target = drawn[:, 0] > -2.5  # the source stands to its left or above it
+    assert drawn[red & target][:, 1].mean() > drawn[~red & target][:, 1].mean()
 
 
-def test_a_failed_pair_is_drawn_as_it_came(registered):
+def test_a_plan_is_drawn_from_above_although_the_scanner_stood_low():
+    """A scanner two meters above a wide floor: x to the right and y up, as in a plan, and not in a mirror."""
+    points = torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([40.0, 30, 0.1])
+    posts = torch.rand(400, 3, generator=torch.Generator().manual_seed(1)) * torch.tensor([40.0, 30, 9])
+    middle = torch.tensor([20.0, 15, 1.7])
+    cloud = tr.Clouds(points=torch.cat((points, posts)) - middle, viewpoint=torch.zeros(1, 3))
+    ax = correspondence_figure(cloud, cloud, bare_result()).axes[0]
+    assert ax.get_title().startswith("top view, along -z;")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (m)", "y (m)")
+    assert not ax.yaxis_inverted()
+    assert not ax.xaxis_inverted()
+
+
+def test_both_pictures_have_one_frame(registered):
+    source, target, _ = registered
+    camera = camera_cloud()
+    for one, other in ((source.select(1), target.select(1)), (camera, camera)):
+        views = registration_figure(one, other, torch.eye(4)).axes
+        here = correspondence_figure(one, other, bare_result()).axes[0]
+        labels = {label for ax in views for label in (*ax.get_ylabel().splitlines(), ax.get_xlabel())}
+        assert {here.get_xlabel(), here.get_ylabel()} <= labels
+
+
+def test_a_pair_without_a_pose_is_drawn_as_it_came(registered):
     source, target, result = registered
     figure = correspondence_figure(source, target, result, 0)
     figure.canvas.draw()
     assert labels_of(figure) == ["inliers: 0 of 0", "outliers: 0 of 0"]
-    assert "as it came, since the pair was not registered" in figure.axes[0].get_title()
+    assert "as it came, since no pose was found" in figure.axes[0].get_title()
     failed = replace(result, success=torch.tensor([False, False]), inliers=torch.zeros_like(result.inliers))
-    assert len(lines_of(correspondence_figure(source, target, failed, 1))[OUTLIER_COLOR]) == 120
+    refused = correspondence_figure(source, target, failed, 1)
+    assert len(lines_of(refused)[OUTLIER_COLOR]) == 120
+    assert "the likeliest transform, which was refused" in refused.axes[0].get_title()
 
 
 @pytest.mark.parametrize("colored", [True, False])

@@ -18,6 +18,7 @@ from torchreg.report import (
     demo_sentence,
     demo_table,
     matrix_text,
+    picture_title,
     registration_table,
 )
 from torchreg.report.text import legible, share
@@ -77,10 +78,26 @@ def test_registration_table_of_a_pose_that_was_weighed():
     rows = {row[:16].strip(): row[16:].strip() for row in text.splitlines()}
     lead = "log-odds 5.2 lower (about 181 to 1)"
     assert rows["overlap"] == "0.5200 of the points have a partner"
-    assert rows["strength"] == "0.310 of 1: the surfaces hold the pose in every direction"
+    loosest = "held 3.2 times less firmly in its loosest direction than in its firmest, which is usual"
+    assert rows["strength"] == f"0.310 of 1: {loosest}"
     assert rows["runner-up"] == "turned by 90 degrees, the middle of the overlap moved by 5 m; " + lead
     assert rows["probability"] == "0.998 that the pose is right"
     assert "0.070 that the pose" in shown(registration_table(failed_result("sliding"), source="a", target="b"))
+
+
+def test_the_errors_of_a_refused_pose_are_called_that():
+    truth = PoseErrors(0.5, 0.0123, 0.02)
+    text = shown(registration_table(failed_result("sliding"), source="a", target="b", truth=truth))
+    assert "the likeliest pose, which was refused: RRE 0.5 degrees, RTE 0.0123 m" in text
+    assert "refused" not in shown(registration_table(verified_result(), source="a", target="b", truth=truth))
+
+
+def test_titles_of_pictures():
+    good, refused = verified_result(), failed_result("ambiguous", "ambiguous: two poses, and figures")
+    assert picture_title("a to b", good) == "a to b: registered, probability 0.998"
+    assert picture_title("a to b", good, residual=0.0123) == "a to b: registered, probability 0.998, residual 0.0123 m"
+    assert picture_title("a to b", refused) == "a to b: not registered (ambiguous), probability 0.070"
+    assert picture_title("a to b", bare_result()) == "a to b: registered"
 
 
 def test_registration_table_of_a_solver_alone():

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-import torch
-
 from torchreg.batch.pairs import Pair
 from torchreg.io import result_to_dict
 from torchreg.io.atomic import atomic_write, write_text
 from torchreg.metrics import pose_errors
 from torchreg.types import Clouds, RegistrationResult
+from torchreg.verification.likeliest import likeliest_pose
 
 REGISTERED, REFUSED, UNREADABLE, BROKEN = "registered", "refused", "unreadable", "error"
 """States of a pair: a pose that is trusted; none, for a reason; a cloud that cannot be read; a defect of ours."""
@@ -72,6 +71,7 @@ COLUMNS: dict[str, str] = {
     "state": "text",
     "reason": "text",
     "T_target_source": "numbers",
+    "likeliest_T_target_source": "numbers",
     "probability": "number",
     "margin": "number",
     "fitness": "number",
@@ -95,7 +95,8 @@ COLUMNS: dict[str, str] = {
     "failure": "text",
 }
 """The columns of the table in order, with what they hold; other columns of the pairs file follow as texts, with
-``pair_`` before a name that is taken. ``failure`` is the kind of a ``Failure``."""
+``pair_`` before a name that is taken. ``failure`` is the kind of a ``Failure``. A pair that was refused has no
+``T_target_source``, but where there was one its likeliest pose in ``likeliest_T_target_source``."""
 
 
 def row_of(
@@ -111,7 +112,7 @@ def row_of(
         **{name: record[name] for name in _AS_IN_RECORD},
         "success": success,
         "state": REGISTERED if success else REFUSED,
-        "T_target_source": result.T_target_source[b].flatten().tolist() if success else None,
+        **{name: _sixteen(record[name]) for name in ("T_target_source", "likeliest_T_target_source")},
         "correspondences": counts["correspondences"],
         "inliers": counts["inliers"],
         "points_source": stages.given[0],
@@ -163,15 +164,19 @@ def _errors(pair: Pair, result: RegistrationResult, b: int, source: Clouds, boun
     T_true = pair.transform()
     if T_true is None:
         return {}
-    T = result.T_target_source[b].cpu()
-    posed = bool(result.candidates[b]) if result.candidates else not torch.equal(T, torch.eye(4, dtype=T.dtype))
-    if not (bool(result.success[b]) or posed) or len(source.points) == 0:
+    T = likeliest_pose(result, b)
+    if T is None or len(source.points) == 0:
         return {"found": False}
-    errors = pose_errors(source, T_true, T)
+    errors = pose_errors(source, T_true, T.cpu())
     meters = 4 * result.options[b].inlier_threshold if bounds.meters is None else bounds.meters
     found = errors.rre_degrees < bounds.degrees and errors.rte_meters < meters
     plain = {name: value if math.isfinite(value) else None for name, value in errors._asdict().items()}
     return {"found": found, **plain}
+
+
+def _sixteen(T: Any) -> list[float] | None:  # noqa: ANN401
+    """A matrix of a record (4 rows of 4) as one list, row by row."""
+    return None if T is None else [value for row in T for value in row]
 
 
 def _csv(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> str:

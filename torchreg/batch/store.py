@@ -76,21 +76,21 @@ class Store:
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
         self.folder = folder
-        expect(folder.absolute().parent.is_dir(), "out", "a folder in one that exists", str(folder))
-        expect(not folder.exists() or folder.is_dir(), "out", "a folder", f"the file {folder}")
+        expect(folder.absolute().parent.is_dir(), str(folder), "a folder in one that exists", "none there")
+        expect(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
         known = folder / "run.json"
         if folder.is_dir() and not known.exists():
             # a run that was killed at once may have left a lock or a part of run.json
             others = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
             if others:
                 some = ", ".join(others[:3])
-                raise ValueError(f"out: expected an empty folder, or one of a batch, got {folder} with {some}")
+                raise ValueError(f"{folder}: expected an empty folder, or one of a batch, got one with {some}")
         folder.mkdir(exist_ok=True)
         self._lock = FileLock(folder / ".lock")
         try:
             self._lock.acquire(timeout=0)
         except Timeout:
-            raise ValueError(f"out: expected a folder without a run at work, got {folder}, which has one") from None
+            raise ValueError(f"{folder}: expected a folder without a run at work, got one that has one") from None
         try:
             self._begin(known, manifest)
         except BaseException:
@@ -199,7 +199,11 @@ class Store:
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """The values that differ, in words; empty where none do."""
     names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
-    return ", ".join(f"{name} {then.get(name)!r} there and {now.get(name)!r} now" for name in names)
+    return ", ".join(f"{name} {_in_words(then.get(name))} there and {_in_words(now.get(name))} now" for name in names)
+
+
+def _in_words(value: Any) -> str:  # noqa: ANN401
+    return "not given" if value is None else str(value)
 
 
 def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
@@ -212,5 +216,5 @@ def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
     different = differences(then, manifest)
     if different:
         raise ValueError(
-            f"out: expected a new folder or the options that {known.parent} was begun with, got {different}"
+            f"{known.parent}: expected a new folder, or the settings that it was begun with, got {different}"
         )

@@ -12,6 +12,7 @@ from torchreg.cli import options as opt
 from torchreg.cli.expand import option_of
 from torchreg.cli.output import Output, check_outputs, standard_output
 from torchreg.cli.progress import reading_bar, step
+from torchreg.cli.wording import by_options
 from torchreg.io import CloudFile, Reading, read_cloud_report, write_cloud
 from torchreg.io.formats import CAPACITIES, WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
@@ -61,7 +62,7 @@ def convert(
     cloud = _narrowest(report.cloud)
     with step(f"writing {target.name}"):
         write_cloud(target, cloud)
-    lines = [f"{target}: {_contents(report)}", *(f"note: {note}" for note in report.notes)]
+    lines = [f"{target}: {_contents(report)}", *(f"note: {by_options(note)}" for note in report.notes)]
     lines += [f"not kept: {loss}" for loss in (*CAPACITIES[target.suffix.lower()].losses(cloud), *_left(report))]
     standard_output().print("\n".join(lines), soft_wrap=True)
 

@@ -11,7 +11,7 @@ import torch
 import typer
 
 from torchreg.cli import options as opt
-from torchreg.cli.guard import NOT_REGISTERED
+from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import Output, check_outputs, standard_output
 from torchreg.cli.progress import step
 from torchreg.datasets import ScanPair, mall
@@ -21,7 +21,6 @@ from torchreg.registration import PAPER, derive_options
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.report import FIGURE_SUFFIXES, DemoRow, demo_figure, demo_sentence, demo_table, save_figure
-from torchreg.report.text import legible
 from torchreg.solvers import RansacOptions
 from torchreg.types import RegistrationResult
 
@@ -36,14 +35,17 @@ OutFolder = Annotated[
 ]
 AngularStep = Annotated[
     float,
-    typer.Option("--angular-step", metavar="DEGREES", help="Angle between neighboring rays, in degrees."),
+    typer.Option(
+        "--angular-step", metavar="DEGREES", min=0.05, max=5, help="Angle between neighboring rays, in degrees."
+    ),
 ]
 PictureFile = Annotated[
-    Path,
+    Path | None,
     typer.Option(
         "--figure",
         metavar="FILE.png",
-        help="Draw the clouds before and under the transform of each method, axes in meters (.png, .pdf or .svg).",
+        help="Draw the clouds before and under the transform of each method, axes in meters (.png, .pdf or .svg); by "
+        "default nothing is drawn or written.",
         rich_help_panel="Output",
     ),
 ]
@@ -52,7 +54,7 @@ PictureFile = Annotated[
 def demo(
     seed: opt.Seed = 2,
     angular_step: AngularStep = 0.4,
-    figure: PictureFile = Path("torchreg_demo.png"),
+    figure: PictureFile = None,
     out: OutFolder = None,
 ) -> None:
     """Scan a simulated mall twice, register the scans, and show what color adds to geometry.
@@ -65,7 +67,7 @@ def demo(
     check_outputs([Output("--figure", figure, FIGURE_SUFFIXES)], [])
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    with step("scanning a simulated mall from two stations"):
+    with step("scanning a simulated mall from two stations", at_once=True):
         pair = mall(seed, angular_step=angular_step)
     default = derive_options(pair.source, pair.target)[0]
     paper = replace(PAPER, voxel_size=default.voxel_size)
@@ -78,18 +80,23 @@ def demo(
     ]
     rows: list[DemoRow] = []
     for method, options in runs:
-        with step(f"registering: {method}"):
+        with step(f"registering by {method}", at_once=True):
             row, result = _run(pair, method, options, seed)
         rows.append(row)
-    if out is not None:
-        _write(out, pair, result, seed)
-    with step(f"drawing {figure.name}"):
-        transforms = [(f"{row.method}: {'right' if row.right else 'wrong'}", row.T_target_source) for row in rows[2:]]
-        title = f"Two scans of a simulated mall (seed {seed})"
-        save_figure(demo_figure(pair.source, pair.target, transforms, title=title), figure)
+    written = [] if out is None else _write(out, pair, result, seed)
+    if figure is not None:
+        with step(f"drawing {figure.name}", at_once=True):
+            shown = [(f"{row.method}: {'right' if row.right else 'wrong'}", row.T_target_source) for row in rows[2:]]
+            title = f"Two scans of a simulated mall (seed {seed})"
+            save_figure(demo_figure(pair.source, pair.target, shown, title=title), figure)
+        written.append(figure)
     console = standard_output()
     console.print(demo_table(rows))
-    console.print(f"\n{demo_sentence(rows[2], rows[3])}\nThe picture: {legible(str(figure))}", soft_wrap=True)
+    console.print(f"\n{demo_sentence(rows[2], rows[3])}", soft_wrap=True)
+    if figure is None:
+        console.print("To see it: torchreg demo --figure torchreg_demo.png", soft_wrap=True)
+    if written:
+        complain(f"wrote {', '.join(map(str, written))}")
     if not rows[-1].right:
         raise typer.Exit(NOT_REGISTERED)
 
@@ -114,8 +121,11 @@ def _run(pair: ScanPair, method: str, options: RegistrationOptions, seed: int) -
     return row, result
 
 
-def _write(folder: Path, pair: ScanPair, result: RegistrationResult, seed: int) -> None:
-    write_cloud(folder / "source.ply", pair.source)
-    write_cloud(folder / "target.ply", pair.target)
-    write_transform_text(folder / "truth.txt", pair.T_target_source)
-    write_result_json(folder / "result.json", result, seed=seed, source="source.ply", target="target.ply")
+def _write(folder: Path, pair: ScanPair, result: RegistrationResult, seed: int) -> list[Path]:
+    """Write both scans, the truth and the result; returns the files."""
+    source, target, truth, record = (folder / name for name in ("source.ply", "target.ply", "truth.txt", "result.json"))
+    write_cloud(source, pair.source)
+    write_cloud(target, pair.target)
+    write_transform_text(truth, pair.T_target_source)
+    write_result_json(record, result, seed=seed, source=source.name, target=target.name)
+    return [source, target, truth, record]

@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from torchreg.cli.wording import by_options
 from torchreg.report.text import legible
 
 UNEXPECTED, BAD_INPUT, NOT_REGISTERED, INTERRUPTED = 1, 2, 3, 130
@@ -47,8 +48,8 @@ class GuardedGroup(TyperGroup):
 
 
 def complain(message: str) -> None:
-    """Print a message on standard error."""
-    typer.echo(f"torchreg: {legible(message)}", err=True)
+    """Print a message on standard error, in the words of the command line."""
+    typer.echo(f"torchreg: {legible(by_options(message))}", err=True)
 
 
 def _silence_stdout() -> None:

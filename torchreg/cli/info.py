@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from torchreg.cli import options as opt
-from torchreg.cli.output import STANDARD_OUTPUT, standard_output, write_json
+from torchreg.cli.guard import complain
+from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
 from torchreg.cli.progress import reading_bar, step
+from torchreg.cli.wording import by_options
 from torchreg.io import CloudFile, Reading, read_cloud_report
 from torchreg.io.formats import formats_in_words
 from torchreg.io.placement import viewpoint_of_text
@@ -23,15 +26,11 @@ from torchreg.settings import LARGEST_READ
 CloudPath = Annotated[
     Path, typer.Argument(metavar="FILE", help=f"A cloud, coordinates in meters: {formats_in_words()}.")
 ]
-JsonSwitch = Annotated[
-    bool,
-    typer.Option("--json", help="Print JSON instead of a table, lengths in meters.", rich_help_panel=opt.OUTPUT),
-]
 
 
 def info(
     file: CloudPath,
-    json: JsonSwitch = False,
+    json: opt.JsonFile = None,
     viewpoint: opt.ViewpointText = "auto",
     scan: opt.ScanText = None,
     columns: opt.ColumnsText = None,
@@ -43,10 +42,12 @@ def info(
     """
     from torchreg.report import cloud_table
 
+    check_outputs([Output("--json", json)], [file])
     place = viewpoint_of_text(viewpoint, "--viewpoint")
     reading = Reading(viewpoint=place, columns=columns, units=units, at_most=LARGEST_READ)
     with reading_bar(file.name) as progress:
         report = read_cloud_report(file, scan=scan, reading=reading, progress=progress)
+    report = replace(report, notes=tuple(by_options(note) for note in report.notes))
     cloud = report.cloud
     failure = refuse(cloud, cloud)[0]
     defect = "" if failure is None else failure.text.replace("the source", "it")
@@ -55,10 +56,13 @@ def info(
         with step("measuring the spacing of the points"):
             apart = float(spacing(cloud))
             options = derive_options(cloud, cloud)[0]
-    if json:
-        write_json(STANDARD_OUTPUT, _content(report, apart, options, defect))
-    else:
-        standard_output().print(cloud_table(report, apart, options, defect))
+    if json is not None:
+        write_json(json, _content(report, apart, options, defect))
+    if json == STANDARD_OUTPUT:
+        return
+    standard_output().print(cloud_table(report, apart, options, defect))
+    if json is not None:
+        complain(f"wrote {json}")
 
 
 def _content(file: CloudFile, apart: float, options: RegistrationOptions | None, defect: str) -> dict[str, object]:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchreg.cli.options import INPUT
 from torchreg.cli.progress import reading_bar
+from torchreg.cli.wording import by_options
 from torchreg.io import CLOUD_SUFFIXES, CloudFile, read_cloud_report, read_transform_text
 from torchreg.io.formats import alternatives
 from torchreg.preprocess import random_downsample, voxel_downsample
@@ -75,7 +76,8 @@ class ReadPair:
 
     def notes(self) -> dict[str, list[str]]:
         """What reading showed, for JSON."""
-        return {name: list(file.notes) for name, file in zip(("source", "target"), self.files, strict=True)}
+        names = zip(("source", "target"), self.files, strict=True)
+        return {name: [by_options(note) for note in file.notes] for name, file in names}
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Points in the files and points used, for JSON."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,6 +25,8 @@ from torchreg.cli.guard import complain
 from torchreg.report.text import plain
 
 _SECONDS_BETWEEN_LINES = 10.0
+_SILENT_SECONDS, _SHORT_STEP = 2.0, 1.0  # of the command, of a step: before these nothing is said off a terminal
+_BEGIN = time.monotonic()
 _WORDS = {
     "measure": ("measuring", "clouds"),
     "describe": ("describing", "clouds"),
@@ -32,13 +35,16 @@ _WORDS = {
 
 
 @contextmanager
-def step(what: str) -> Iterator[None]:
-    """Name a long step beside a turning mark and its seconds, on standard error where that is a terminal.
+def step(what: str, *, at_once: bool = False) -> Iterator[None]:
+    """Name a long step on standard error: beside a turning mark and its seconds where that is a terminal.
 
-    The line goes away when the step ends; standard output is not touched.
+    There the line goes away when the step ends. Elsewhere, such as in a log, the step is named on a line of its own
+    once it has taken a while and the command has been at work for two seconds, or ``at_once``. Standard output is
+    not touched.
     """
     if not sys.stderr.isatty():
-        yield
+        with _named_when_long(what, at_once=at_once):
+            yield
         return
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
@@ -47,13 +53,32 @@ def step(what: str) -> Iterator[None]:
 
 
 @contextmanager
+def _named_when_long(what: str, *, at_once: bool = False) -> Iterator[None]:
+    if at_once:
+        complain(what)
+        yield
+        return
+    wait = max(_SILENT_SECONDS - (time.monotonic() - _BEGIN), _SHORT_STEP)
+    timer = threading.Timer(wait, complain, [what])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+
+
+@contextmanager
 def reading_bar(name: str) -> Iterator[Callable[[int, int | None], None] | None]:
     """A function that shows how many points of a file were read, and how many a second; ``None`` off a terminal.
 
-    The bar goes away at the end. Files that are read as a whole show a turning mark and the seconds.
+    The bar goes away at the end. Files that are read as a whole show a turning mark and the seconds. Off a terminal
+    this is a ``step``.
     """
     if not sys.stderr.isatty():
-        yield None
+        with _named_when_long(f"reading {name}"):
+            yield None
         return
     columns = (
         SpinnerColumn(),

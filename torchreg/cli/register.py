@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from torch import Tensor
 
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
@@ -22,6 +23,7 @@ from torchreg.registration.register import register as register_clouds
 from torchreg.report import FIGURE_SUFFIXES
 from torchreg.settings import Settings
 from torchreg.types import RegistrationResult
+from torchreg.verification.likeliest import likeliest_pose
 
 _FIGURES = alternatives(FIGURE_SUFFIXES)
 
@@ -36,7 +38,8 @@ class Outputs:
         typer.Option(
             "--transform",
             metavar="FILE.txt",
-            help="Write the transform as four lines of four numbers, its translation in meters.",
+            help="Write the transform as four lines of four numbers, its translation in meters; nothing where the "
+            "pair was refused.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -58,16 +61,26 @@ class Outputs:
             "--aligned",
             metavar="FILE.ply",
             help="Write the whole source in the frame of the target, coordinates in meters, as a "
-            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so.",
+            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so. Nothing where "
+            "the pair was refused.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Write --transform and --aligned of a refused pair too, by its likeliest pose, which is not trusted.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = False
     figure: Annotated[
         Path | None,
         typer.Option(
             "--figure",
             metavar="FILE.png",
-            help=f"Draw both clouds before and after from three sides, axes in meters, as a {_FIGURES} file.",
+            help="Draw both clouds before and after, or under the likeliest pose of a refused pair, from three sides, "
+            f"axes in meters, as a {_FIGURES} file.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -95,6 +108,8 @@ class Outputs:
         one_of(self.transform_format, "--transform-format", tuple(TRANSFORM_FORMATS))
         idle = self.transform is None and self.transform_format != "matrix"
         expect(not idle, "--transform-format", "--transform beside it", self.transform_format)
+        forced = not self.force or self.transform is not None or self.aligned is not None
+        expect(forced, "--force", "--transform or --aligned beside it", "neither")
         outputs = (
             Output("--json", self.json),
             Output("--transform", self.transform),
@@ -103,6 +118,10 @@ class Outputs:
             Output("--matches", self.matches, FIGURE_SUFFIXES),
         )
         check_outputs(outputs, inputs)
+
+    def by_pose(self) -> list[Path]:
+        """The files that only a pose can fill."""
+        return [path for path in (self.transform, self.aligned) if path is not None]
 
 
 @expanded
@@ -115,8 +134,9 @@ def register(
 ) -> None:
     """Find the rigid transform that brings SOURCE onto TARGET: x_target = R x_source + t, in meters.
 
-    No first guess is needed. Exit code 0: registered. 2: bad usage or an unreadable file. 3: not registered, with
-    the reason; no transform and no aligned cloud is written then.
+    No first guess is needed. Exit code 0: registered. 2: bad usage or an unreadable file. 3: refused, with the reason;
+    no transform and no aligned cloud is written then without --force, and JSON has the likeliest pose, where there is
+    one, as likeliest_T_target_source. Files that were written are named on standard error.
     """
     from torchreg.io import result_to_dict
     from torchreg.report import registration_table
@@ -130,9 +150,11 @@ def register(
         source, target = pair.used[0].to(where), pair.used[1].to(where)
         options = options_of_pair(source, target, settings)
         result = register_clouds(source, target, options, seed=seed)
-    success, reason = bool(result.success[0]), result.reason[0]
-    errors = pose_errors(pair.whole[0], T_true, result.T_target_source[0]) if T_true is not None and success else None
+    success, reason, T = bool(result.success[0]), result.reason[0], likeliest_pose(result)
+    T = None if T is None else T.cpu()
+    errors = pose_errors(pair.whole[0], T_true, T) if T_true is not None and T is not None else None
 
+    written = []
     if outputs.json is not None:
         content = result_to_dict(result, seed=seed, source=str(files.source), target=str(files.target))
         run = {name: getattr(settings, name) for name in ("preset", "points", "viewpoint")} | {"device": device.value}
@@ -140,8 +162,9 @@ def register(
         write_json(
             outputs.json, {**content, "points": pair.counts(), "file_notes": pair.notes(), "run": run, "truth": truth}
         )
-    _write_clouds(outputs, pair, result)
-    _draw(outputs, pair, result, f"{files.source.name} to {files.target.name}")
+        written += [outputs.json] if outputs.json != STANDARD_OUTPUT else []
+    written += _write_by_pose(outputs, pair, T, success=success)
+    written += _draw(outputs, pair, result, T, f"{files.source.name} to {files.target.name}")
     if outputs.json == STANDARD_OUTPUT:
         complain("registered" if success else f"not registered: {reason}")
     else:
@@ -152,33 +175,46 @@ def register(
     if outputs.explain:
         console = standard_output(stderr=outputs.json == STANDARD_OUTPUT)
         console.print("", plain(result.explain()), sep="\n", soft_wrap=True)
+    if written:
+        complain(f"wrote {', '.join(map(str, written))}")
     if not success:
         raise typer.Exit(NOT_REGISTERED)
 
 
-def _write_clouds(outputs: Outputs, pair: ReadPair, result: RegistrationResult) -> None:
-    """The transform and the source under it, of a pair that was registered."""
+def _write_by_pose(outputs: Outputs, pair: ReadPair, T: Tensor | None, *, success: bool) -> list[Path]:
+    """Write the transform and the source under it, of a pair that was registered or by force; returns the files."""
     from torchreg.io import write_cloud, write_transform_text
 
-    if not bool(result.success[0]):
-        return
-    T = result.T_target_source[0].cpu()
+    paths = outputs.by_pose()
+    if not paths:
+        return []
+    names = " and ".join(map(str, paths))
+    if T is None:
+        complain(f"{names} not written: no pose was found")
+        return []
+    if not success and not outputs.force:
+        complain(f"{names} not written: the pair was refused (--force writes by its likeliest pose)")
+        return []
+    if not success:
+        complain(f"note: {names} by the likeliest pose of a refused pair, which is not trusted")
     if outputs.transform is not None:
         write_transform_text(outputs.transform, T, form=outputs.transform_format)
     if outputs.aligned is not None:
         with step(f"writing {outputs.aligned.name}"):
             write_cloud(outputs.aligned, pair.whole[0], T=T)
+    return paths
 
 
-def _draw(outputs: Outputs, pair: ReadPair, result: RegistrationResult, names: str) -> None:
-    from torchreg.report import correspondence_figure, registration_figure, save_figure
+def _draw(outputs: Outputs, pair: ReadPair, result: RegistrationResult, T: Tensor | None, names: str) -> list[Path]:
+    """Draw the pictures that are asked for; returns their files."""
+    from torchreg.report import correspondence_figure, picture_title, registration_figure, save_figure
 
-    success = bool(result.success[0])
-    title = f"{names}: " + ("registered" if success else f"not registered, {result.reason[0]}")
+    title = picture_title(names, result)
     if outputs.figure is not None:
         with step(f"drawing {outputs.figure.name}"):
-            T = result.T_target_source[0].cpu() if success else None
-            save_figure(registration_figure(*pair.whole, T, title=title), outputs.figure)
+            figure = registration_figure(*pair.whole, T, title=title, refused=not bool(result.success[0]))
+            save_figure(figure, outputs.figure)
     if outputs.matches is not None:
         with step(f"drawing {outputs.matches.name}"):
             save_figure(correspondence_figure(*pair.used, result, title=title), outputs.matches)
+    return [path for path in (outputs.figure, outputs.matches) if path is not None]

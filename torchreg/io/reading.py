@@ -94,7 +94,7 @@ def chosen_scan(path: Path, scans: list[Scan], scan: int | str | None) -> Scan:
     count = f"a file of {len(scans)} scan{'s' * (len(scans) != 1)}{f' ({listed})' * (len(scans) > 0)}"
     if scan is None:
         if len(scans) != 1:
-            refuse(path, "one scan, or scan= to choose one (read_scans reads all)", count)
+            refuse(path, "one scan, or scan= to choose one", count)
         return scans[0]
     places = [k for k, name in enumerate(names) if name == scan]
     if len(places) > 1:

@@ -19,6 +19,7 @@ from torchreg.errors import expect
 from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io.atomic import write_text
 from torchreg.types import RegistrationResult
+from torchreg.verification.likeliest import likeliest_pose
 from torchreg.version import __version__
 
 _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")
@@ -44,7 +45,10 @@ def result_to_dict(
 
         - ``source``, ``target``: the names given; ``success``, ``reason`` (empty beside success); ``failure``: kind and
           figures, as ``Failure`` has them, or ``None``; ``notes`` (list);
-        - ``T_target_source``: 4 x 4, meters; ``quaternion``: w, x, y, z of its rotation, w >= 0; ``translation``;
+        - ``T_target_source``: 4 x 4, meters; ``quaternion``: w, x, y, z of its rotation, w >= 0; ``translation``; all
+          three ``None`` where the pair was refused;
+        - ``likeliest_T_target_source``: 4 x 4, the likeliest pose of a pair that was refused, ``None`` where the pair
+          succeeded and where no pose was found;
         - ``fitness``, ``inlier_rmse`` (meters), ``probability``, ``overlap``, ``strength``: numbers;
         - ``information``: 6 x 6, rotations before translations, or ``None``;
         - ``runner_up``: 4 x 4, or ``None`` where there is none; ``margin``: log-odds, ``None`` where infinite;
@@ -60,9 +64,8 @@ def result_to_dict(
         ValueError: ``pair`` is not one of the result's.
     """
     expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
-    T = result.T_target_source[pair].detach().cpu()  # (4, 4)
+    success, T = bool(result.success[pair]), likeliest_pose(result, pair)
     begin, end = result.correspondences.offsets[pair : pair + 2].tolist()
-    quaternion = quaternion_wxyz(T[:3, :3]).tolist()
     counts = {f"hypotheses_{key}": int(value[pair]) for key, value in result.hypotheses._asdict().items()}
     failure, stages = result.failure[pair], None
     if result.stages:
@@ -72,13 +75,12 @@ def result_to_dict(
     content = {
         "source": source,
         "target": target,
-        "success": bool(result.success[pair]),
+        "success": success,
         "reason": result.reason[pair],
         "failure": None if failure is None else {"kind": failure.kind, "figures": failure.figures},
         "notes": result.notes[pair] if result.notes else (),
-        "T_target_source": T.tolist(),
-        "quaternion": dict(zip("wxyz", quaternion, strict=True)),
-        "translation": T[:3, 3].tolist(),
+        **_pose(T if success else None),
+        "likeliest_T_target_source": None if success else T,
         "fitness": float(result.fitness[pair]),
         "inlier_rmse": float(result.inlier_rmse[pair]),
         **{name: _value(getattr(result, name), pair) for name in _VERIFIED},
@@ -148,6 +150,14 @@ def versions() -> dict[str, str | None]:
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.release()} {platform.machine()}",
     }
+
+
+def _pose(T: Tensor | None) -> dict[str, object]:
+    """A transform (4, 4) as matrix, quaternion and translation; without one ``None`` under the same keys."""
+    if T is None:
+        return dict.fromkeys(("T_target_source", "quaternion", "translation"))
+    quaternion = quaternion_wxyz(T[:3, :3].cpu()).tolist()
+    return {"T_target_source": T, "quaternion": dict(zip("wxyz", quaternion, strict=True)), "translation": T[:3, 3]}
 
 
 def _value(values: Tensor | None, pair: int) -> object:

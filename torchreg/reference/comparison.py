@@ -96,10 +96,17 @@ class Comparison:
             "descriptors_agree": self.descriptors_agree,
             "descriptors": differences,
             "matches": counts,
-            "torchreg": plain_data(self.torchreg),
-            "open3d": plain_data(self.open3d),
+            "torchreg": _plain_side(self.torchreg),
+            "open3d": _plain_side(self.open3d),
             "options": plain_data(self.options),
         }
+
+
+def _plain_side(side: Side) -> dict[str, Any]:
+    """A side for JSON: as in a result's JSON, the pose of a refused pair has a key of its own."""
+    likeliest = None if side.success or bool((side.T_target_source == torch.eye(4)).all()) else side.T_target_source
+    known = {**plain_data(side), "likeliest_T_target_source": plain_data(likeliest)}
+    return known if side.success else {**known, "T_target_source": None}
 
 
 def compare(

@@ -8,6 +8,7 @@ from torchreg.report.correspondences import correspondence_figure
 from torchreg.report.demo import DemoRow, demo_sentence, demo_table
 from torchreg.report.figures import demo_figure, registration_figure
 from torchreg.report.tables import cloud_table, matrix_text, registration_table, summary_table
+from torchreg.report.titles import picture_title
 
 __all__ = [
     "FIGURE_SUFFIXES",
@@ -18,6 +19,7 @@ __all__ = [
     "demo_sentence",
     "demo_table",
     "matrix_text",
+    "picture_title",
     "registration_figure",
     "registration_table",
     "save_figure",

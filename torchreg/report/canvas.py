@@ -54,13 +54,19 @@ def set_limits(ax: Axes, low: NDArray[Any], high: NDArray[Any], ratio: float) ->
     ax.set_aspect("equal")
 
 
-def add_legend(figure: Figure, colors: Mapping[str, str], *others: Artist) -> None:
-    """Name the colors of dots below a figure, and then other marks."""
+def add_legend(figure: Figure, colors: Mapping[str, str], *others: Artist, title: str | None = None) -> None:
+    """Name the colors of dots below a figure, and then other marks; ``title`` is a line above the names."""
     from matplotlib.lines import Line2D
 
     style: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 7}
     handles = [*(Line2D([], [], color=color, label=name, **style) for name, color in colors.items()), *others]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=10)
+    below_figure(figure, handles=handles, title=title, ncols=len(handles))
+
+
+def below_figure(figure: Figure, **legend: Any) -> None:  # noqa: ANN401
+    """A legend without a frame below a figure; ``legend`` as matplotlib's ``Figure.legend`` takes it."""
+    style: dict[str, Any] = {"frameon": False, "fontsize": 10, "title_fontsize": 9}
+    figure.legend(loc="outside lower center", **style, **legend)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 130) -> None:

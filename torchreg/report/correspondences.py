@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchreg.errors import at_least, expect
-from torchreg.report.canvas import annotate, blank_figure
+from torchreg.report.canvas import annotate, below_figure, blank_figure
 from torchreg.report.scene import Scene, box, padded, scene_of, thin, union
 from torchreg.report.text import share
-from torchreg.report.views import AXES, Layout, View, axis_label, layout_of, slice_of
+from torchreg.report.views import Layout, View, axis_label, layout_of, slice_of, up_label, view_label
 from torchreg.types import Clouds, RegistrationResult
 from torchreg.types.packing import spans
+from torchreg.verification.likeliest import likeliest_pose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,10 +50,11 @@ def correspondence_figure(
 ) -> Figure:
     """Draw the matches of one pair between its clouds, inliers and outliers told apart.
 
-    The source is drawn under the transform of the result and then moved away from the target, to its left or above
-    it, so that the lines of right matches are parallel. Without a transform it is drawn as it came. Orthographic,
-    from the side where most is seen, to scale, axes in meters in the target's frame; a closed room is drawn opened.
-    Points have their colors, a little paler, or grays by depth. The same clouds give the same picture.
+    The source is drawn under the transform of the result, or the likeliest one of a refused pair, and then moved away
+    from the target, to its left or above it, so that the lines of right matches are parallel. Without a transform it
+    is drawn as it came. Orthographic, from the side where most is seen, upright where up is known (``up_of``), to
+    scale, axes in meters by those of the target's frame; a closed room is drawn opened. Points have their colors, a
+    little paler, or grays by depth. The same clouds give the same picture.
 
     The points drawn are those of the clouds given here, which are denser than the thinned ones that were matched
     and are there for a refused pair as well. The lines run between points of ``result.source`` and ``result.target``.
@@ -87,41 +89,41 @@ def correspondence_figure(
         expect(bool((clouds.origin.cpu() == matched.origin.cpu()).all()), name, expected, "clouds of other origins")
     scene = scene_of(source.select(pair), target.select(pair), at_least(max_points, "max_points", 1))
     ends = match_ends(result, pair)
-    if bool(result.success[pair]):
-        T = result.T_target_source[pair].detach()
+    T = likeliest_pose(result, pair)
+    if T is not None:
         placed, starts = scene.moved(T), scene.moved(T, ends.source)
-        pose = "under the transform of the result"
+        success = bool(result.success[pair])
+        pose = "under the transform of the result" if success else "under the likeliest transform, which was refused"
     else:
-        low, high = (there - here for there, here in zip(box(scene.target), box(scene.source), strict=True))
-        placed, starts = (points + (low + high) / 2 for points in (scene.source, ends.source))  # center on center
-        pose = "as it came, since the pair was not registered"
+        as_it_came, starts = scene.turned(scene.source), scene.turned(ends.source)
+        low, high = (there - here for there, here in zip(box(scene.target), box(as_it_came), strict=True))
+        placed, starts = (points + (low + high) / 2 for points in (as_it_came, starts))  # center on center
+        pose = "as it came, since no pose was found"
     layout = layout_of(placed, scene)
     view, moved = layout.view, placed + layout.shift
 
     low, high = (corner[[view.right, view.up]] for corner in padded(union(box(moved), box(scene.target)), _MARGIN))
     ratio = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.2, 1.2))
     width = min(_WIDTH, _HEIGHT / ratio)
-    figure = blank_figure((width + 0.8, width * ratio + 1.4), title, fontsize=12, columns=90)
+    figure = blank_figure((width + 0.8, width * ratio + 1.9), title, fontsize=12, columns=90)
     ax = figure.subplots()
     _draw_points(ax, scene, placed, layout)
     kinds = (("inliers", INLIER_COLOR, ends.inlier), ("outliers", OUTLIER_COLOR, ~ends.inlier))
     for (name, color, those), rows in zip(kinds, drawn_matches(ends, max_matches), strict=True):
         count = int(those.sum())
         label = f"{name}: {share(count, len(those))}" + (f", {len(rows)} drawn" if len(rows) < count else "")
-        _draw_lines(ax, starts[rows] + layout.shift, ends.target[rows], view, color, label)
-    vertical = (high[1], low[1]) if layout.behind else (low[1], high[1])
-    ax.set(xlim=(low[0], high[0]), ylim=vertical, aspect="equal")
+        _draw_lines(ax, starts[rows] + layout.shift, scene.turned(ends.target[rows]), view, color, label)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     for name, points in (("source", moved), ("target", scene.target)):
-        corner = box(points)[0 if layout.behind else 1]
-        upper_left = (box(points)[0][view.right], corner[view.up])
+        upper_left = (box(points)[0][view.right], box(points)[1][view.up])
         annotate(ax, name, upper_left, fontsize=11, fontweight="bold", va="bottom", zorder=5)
     ax.set_xlabel(axis_label(scene, view.right), fontsize=9)
     ax.set_ylabel(axis_label(scene, view.up), fontsize=9)
     ax.tick_params(labelsize=8)
-    sight = f"seen along {'-' if (view.toward > 0) != layout.behind else ''}{AXES[view.depth]}"
-    shift = f"moved by {layout.shift[layout.axis]:.3g} m along {AXES[layout.axis]}"
-    ax.set_title(f"{sight}; the source is drawn {pose}, {shift}", fontsize=9, color="0.3")
-    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=10)
+    distance = layout.shift[layout.axis]
+    aside = f"moved {abs(distance):.3g} m {'to the left' if layout.axis == view.right else 'up'}"
+    ax.set_title(f"{view_label(scene, view)}; the source is drawn {pose}, {aside}", fontsize=9, color="0.3")
+    below_figure(figure, title=up_label(scene), ncols=2)
     return figure
 
 
@@ -155,10 +157,9 @@ def _draw_points(ax: Axes, scene: Scene, placed: NDArray[Any], layout: Layout) -
     """Both clouds, far points first; of a closed room what lies behind the middle, as in an opened doll's house."""
     view = layout.view
     aligned = np.concatenate((placed, scene.target))
-    toward = -view.toward if layout.behind else view.toward
-    nearness = toward * aligned[:, view.depth]
+    nearness = view.toward * aligned[:, view.depth]
     cut = slice_of(aligned, view)
-    rows = np.arange(len(aligned)) if cut is None else np.flatnonzero(nearness <= max(toward * np.array(cut)))
+    rows = np.arange(len(aligned)) if cut is None else np.flatnonzero(nearness <= max(view.toward * np.array(cut)))
     rows = rows[np.argsort(nearness[rows], kind="stable")]
     if scene.colors is None:
         depth = np.linspace(0, 1, len(rows))[:, None]  # by rank, so that stray points do not use up the grays

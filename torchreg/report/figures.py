@@ -16,7 +16,7 @@ from torchreg.errors import at_least, expect
 from torchreg.report.canvas import add_legend, annotate, blank_figure, set_limits
 from torchreg.report.scene import Scene, box, padded, scene_of, union
 from torchreg.report.text import legible
-from torchreg.report.views import AXES, VIEWS, View, axis_label, slice_of
+from torchreg.report.views import VIEWS, View, axis_label, axis_words, slice_of, up_label, view_label
 from torchreg.types import Clouds
 
 if TYPE_CHECKING:
@@ -45,20 +45,22 @@ def registration_figure(
     T_target_source: Tensor | None,
     *,
     title: str = "",
+    refused: bool = False,
     max_points: int = 20_000,
 ) -> Figure:
     """Draw two clouds before and after: a column each, from the top, the front and the side.
 
-    Orthographic, to scale, axes in meters in the target's frame. A closed room is cut open: its slice shows
+    Upright where up is known (``up_of``); elsewhere the three views are named by the axes that they look along.
+    Orthographic, to scale, axes in meters by those of the target's frame. A closed room is cut open: its slice shows
     walls as lines, which lie on each other where the registration is right. The third column is the second in
     true colors, where both clouds have them. The same clouds give the same picture.
 
     Args:
         source: one cloud.
         target: one cloud.
-        T_target_source: (4, 4), origins included; ``None`` draws the column before alone, for a registration
-            that failed.
-        title: above all.
+        T_target_source: (4, 4), origins included; ``None`` draws the column before alone, where no pose was found.
+        title: above all, such as ``picture_title`` words it.
+        refused: whether the transform is only the likeliest one of a pair that was refused; its column says so.
         max_points: of each cloud in one panel.
 
     Returns:
@@ -76,7 +78,7 @@ def registration_figure(
     scene = scene_of(source, target, _RESERVE * at_least(max_points, "max_points", 1))
     columns = [_before(scene)]
     if T_target_source is not None:
-        columns.append(FigureColumn("after", scene.moved(T_target_source)))
+        columns.append(FigureColumn("likeliest pose, refused" if refused else "after", scene.moved(T_target_source)))
         columns += _true_colors(scene, columns[-1])
     return _draw_panels(scene, columns, columns[-1].source, title=title, max_points=max_points)
 
@@ -149,14 +151,15 @@ def _draw_panels(
             set_limits(ax, low[plane], high[plane], ratio)
             ax.tick_params(labelsize=8)
             ax.set_xlabel(axis_label(scene, view.right), fontsize=8)
-        row[0].set_ylabel(f"{view.name} view, along {AXES[view.depth]}\n{axis_label(scene, view.up)}", fontsize=9)
+        row[0].set_ylabel(f"{view_label(scene, view)}\n{axis_label(scene, view.up)}", fontsize=9)
         if cut is not None:
-            text = f"slice: {AXES[view.depth]} from {cut[0]:.3g} to {cut[1]:.3g} m in the target's frame"
+            depth = axis_words(scene.frame[view.depth])
+            text = f"slice: {depth} from {cut[0]:.3g} to {cut[1]:.3g} m in the target's frame"
             annotate(row[0], text, (0.01, 0.02), xycoords="axes fraction", fontsize=7, color="0.3")
     for column, ax in zip(columns, axes[0], strict=True):
         ax.set_title(legible(column.heading), fontsize=11, parse_math=False)
     names = [f"{name}, {count:,} points" for name, count in zip(("source", "target"), scene.counts, strict=True)]
-    add_legend(figure, dict(zip(names, (SOURCE_COLOR, TARGET_COLOR), strict=True)))
+    add_legend(figure, dict(zip(names, (SOURCE_COLOR, TARGET_COLOR), strict=True)), title=up_label(scene))
     return figure
 
 

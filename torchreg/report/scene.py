@@ -1,4 +1,4 @@
-"""What a picture shows: points of both clouds, thinned, in one frame, under one transform or another."""
+"""What a picture shows: points of both clouds, thinned, in one upright frame, under one transform or another."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.metrics.fit import relative_transform
+from torchreg.report.up import Up, up_of, upright_frame
 from torchreg.types import Clouds
 
 Box = tuple[NDArray[Any], NDArray[Any]]
@@ -24,31 +25,41 @@ _FEW = 1000
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Two thinned clouds in the frame of a picture, which is the target's."""
+    """Two thinned clouds, and the frame of a picture: the target's, turned so that its third axis is up."""
 
-    source: NDArray[Any]  # (N, 3) float64, meters, relative to the source's origin
-    target: NDArray[Any]  # (M, 3) float64, meters, relative to the target's origin
-    colors: NDArray[Any] | None  # (N + M, 3) in [0, 1], source before target, or ``None`` where one of them has none
+    source: NDArray[Any]  # (N, 3) float64, meters, relative to the source's origin, in the source's frame
+    target: NDArray[Any]  # (M, 3) float64, meters, relative to the target's origin, in the picture's frame
+    frame: NDArray[Any]  # (3, 3), a rotation: its rows are the picture's axes in the target's frame
+    up: Up  # in the target's frame
+    colors: NDArray[Any] | None  # (N + M, 3) in [0, 1], source before target, ``None`` where one has none or one alone
     counts: tuple[int, int]  # points of source and target before thinning
     clouds: tuple[Clouds, Clouds]  # whole, source before target
 
     def moved(self, T_target_source: Tensor, points: NDArray[Any] | None = None) -> NDArray[Any]:
-        """The source, or other points (N, 3) in its frame, under a transform (4, 4), origins included."""
+        """The source, or other points (N, 3) in its frame, under a transform (4, 4), origins included.
+
+        Returns:
+            (N, 3) in the picture's frame.
+        """
         expect_shape(T_target_source, "T_target_source", (4, 4))
         T = T_target_source.to(device=self.clouds[0].device)[None]
         R, t = relative_transform(*self.clouds, T)
         before = self.source if points is None else points
-        moved: NDArray[Any] = before @ R[0].cpu().numpy().T + t[0].cpu().numpy()
-        return moved
+        return self.turned(before @ R[0].cpu().numpy().T + t[0].cpu().numpy())
+
+    def turned(self, points: NDArray[Any]) -> NDArray[Any]:
+        """Points (N, 3) of the target's frame in the picture's frame."""
+        turned: NDArray[Any] = points @ self.frame.T
+        return turned
 
     def unmoved(self) -> tuple[NDArray[Any], float]:
-        """The source (N, 3) as its file has it, and the meters by which it was brought nearer.
+        """The source (N, 3) by the numbers of its file, in the picture's frame, and by how many meters it was moved.
 
         Zero meters, unless the clouds lie so far from each other that a picture of both would show two dots;
         then the source is drawn about the target's center.
         """
         source, target = self.clouds
-        placed = self.source + (source.origin[0] - target.origin[0]).cpu().numpy()
+        placed = self.turned(self.source + (source.origin[0] - target.origin[0]).cpu().numpy())
         if len(placed) == 0 or len(self.target) == 0:
             return placed, 0.0
         corners = [box(placed), box(self.target)]
@@ -71,15 +82,26 @@ def scene_of(source: Clouds, target: Clouds, count: int) -> Scene:
         all_points = cloud.points.detach().cpu().double().numpy()
         rows = thin(all_points, count)
         points.append(all_points[rows])
-        if cloud.colors is not None:
+        if cloud.colors is not None and _is_colorful(cloud.colors):
             colors.append(np.clip(cloud.colors.detach().cpu().double().numpy()[rows], 0, 1))
+    place = None if target.viewpoint is None else target.viewpoint[0].detach().cpu().double().numpy()
+    place = None if place is None or not np.isfinite(place).all() else place
+    up = up_of(points[1], place, target.origin[0].cpu().numpy(), known=bool(target.viewpoint_known[0]))
+    frame = upright_frame(up, points[1], place)
     return Scene(
         source=points[0],
-        target=points[1],
+        target=points[1] @ frame.T,
+        frame=frame,
+        up=up,
         colors=np.concatenate(colors) if len(colors) == 2 else None,
         counts=(len(source.points), len(target.points)),
         clouds=(source, target),
     )
+
+
+def _is_colorful(colors: Tensor) -> bool:
+    """Whether colors (P, 3) are more than one: a file whose points all have one color has none to show."""
+    return bool((colors != colors[:1]).any())
 
 
 def thin(points: NDArray[Any], count: int) -> NDArray[np.int64]:

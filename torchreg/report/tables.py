@@ -14,7 +14,7 @@ from torchreg.metrics import PoseErrors
 from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.explanation import meaning_of_strength, runner_up_text
 from torchreg.report.explain.facts import Facts, facts_of
-from torchreg.report.text import chance, meters, plain, share
+from torchreg.report.text import chance, counted, meters, plain, share
 from torchreg.types import RegistrationResult
 
 
@@ -34,7 +34,7 @@ def registration_table(
         pair: which one.
         source: text that names the source cloud, such as its file and size.
         target: likewise.
-        truth: errors under the true transform, where it is known.
+        truth: errors of the pose, trusted or not, under the true transform, where that is known.
         file_notes: what reading the clouds showed.
     """
     facts = facts_of(result, pair)
@@ -49,7 +49,8 @@ def registration_table(
     _add(table, (("note", note) for note in (*file_notes, *facts.notes)))
     if truth is not None:
         rre, rte, rmse = truth
-        table.add_row("against the truth", f"RRE {rre:.4g} degrees, RTE {meters(rte)}, RMSE {meters(rmse)}")
+        pose = "" if facts.success else "the likeliest pose, which was refused: "
+        table.add_row("against the truth", f"{pose}RRE {rre:.4g} degrees, RTE {meters(rte)}, RMSE {meters(rmse)}")
     if facts.success:
         table.add_row("T_target_source", Text(matrix_text(result.T_target_source[pair]), no_wrap=True))
         table.add_row("verdict", Text("registered", style="bold green"))
@@ -154,7 +155,7 @@ def _registration_rows(facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def _summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
-    yield "pairs", f"{summary.pairs:,} of {summary.clouds:,} clouds"
+    yield "batch", f"{counted(summary.pairs, 'pair')} of {counted(summary.clouds, 'cloud')}"
     yield "registered", share(summary.registered, summary.pairs)
     yield "refused", share(summary.refused, summary.pairs)
     if summary.unreadable:

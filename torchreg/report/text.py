@@ -28,6 +28,11 @@ def meters(value: float) -> str:
     return f"{value:.4g} m"
 
 
+def counted(count: int, what: str) -> str:
+    """Such as ``15 pairs`` or ``1 pair``."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
 def share(part: int, whole: int) -> str:
     """Such as ``310 of 2,104 (14.7 %)``, with the digits of ``percent``."""
     return f"{part:,} of {whole:,} ({percent(part / whole)})" if whole else f"{part:,} of 0"

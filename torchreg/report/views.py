@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torchreg.report.scene import Scene, box
 
-AXES = "xyz"
+_UP = 2  # the axis of the picture's frame that is up
 
 _THICKNESS = 0.25  # of the depth
 _DEEP = 0.6  # of the depth: a line of sight that meets points so far apart enters and leaves the scene
@@ -21,14 +21,14 @@ _FLAT = 0.08  # of the wider edge seen: a depth below that is a wall with its no
 _SIGHT_CELLS = 24  # along each edge seen: one line of sight each
 _WIDEST = 3.0  # times as wide as high: a wider pair is put one above the other
 _GAP = 0.12  # between the clouds, of their extent
-_EDGE = 0.1  # of the depth
 _SEEN_CELLS = 100  # along the longest edge
 
 
 class View(NamedTuple):
-    """A view: which coordinate runs right, which up, and which towards the viewer.
+    """A view: which axis of the picture's frame runs right, which up, and which towards the viewer.
 
-    ``toward`` is 1 where that coordinate grows towards the viewer, else -1.
+    The three are a right-handed system, so that nothing is mirrored; ``toward`` is 1 where that coordinate grows
+    towards the viewer, else -1.
     """
 
     name: str
@@ -42,10 +42,9 @@ VIEWS = (View("top", 0, 1, 2, 1), View("front", 0, 2, 1, -1), View("side", 1, 2,
 
 
 class Layout(NamedTuple):
-    """The view, whether from behind (up is down then), and by how much the source is moved, (3,) meters."""
+    """The view, and by how much the source is moved, and along which axis: (3,) meters in the picture's frame."""
 
     view: View
-    behind: bool
     axis: int
     shift: NDArray[Any]
 
@@ -77,10 +76,46 @@ def slice_of(points: NDArray[Any], view: View) -> tuple[float, float] | None:
     return middle - half, middle + half
 
 
+def axis_words(direction: NDArray[Any]) -> str:
+    """A direction (3,) by the axes of the target's file: ``x``, ``-y``, or ``0.94 x - 0.33 z`` between them."""
+    words = ""
+    for value, name in zip(direction, "xyz", strict=True):
+        if abs(value) >= 0.005:
+            sign = ("-" if value < 0 else "") if not words else (" - " if value < 0 else " + ")
+            words += sign + ("" if abs(value) > 0.99995 else f"{abs(value):.2f} ") + name
+    return words
+
+
 def axis_label(scene: Scene, axis: int) -> str:
-    """A coordinate of the target's frame and its unit, with what is subtracted from large values."""
-    origin = float(scene.clouds[1].origin[0, axis])
-    return f"{AXES[axis]} - {origin:.0f} (m)" if origin else f"{AXES[axis]} (m)"
+    """An axis of the picture by those of the target's file, and its unit, with what is subtracted from large values.
+
+    Up between the axes of the file is only called that: ``up_label`` says where it is.
+    """
+    direction = scene.frame[axis]
+    if axis == _UP and not _is_axis(direction):
+        return "up (m)"
+    offset = float(direction @ scene.clouds[1].origin[0].cpu().numpy())
+    shifted = f" {'-' if offset > 0 else '+'} {abs(offset):.0f}" if round(offset) else ""
+    return f"{axis_words(direction)}{shifted} (m)"
+
+
+def view_label(scene: Scene, view: View) -> str:
+    """The view by name, where up is known, and the line of sight, where that is along an axis of the target's file."""
+    direction = -view.toward * scene.frame[view.depth]
+    name = "view" if scene.up.direction is None else f"{view.name} view"
+    comma = "" if scene.up.direction is None else ","
+    return f"{name}{comma} along {axis_words(direction)}" if _is_axis(direction) else name
+
+
+def up_label(scene: Scene) -> str:
+    """Which way is up, and from what that follows."""
+    if scene.up.direction is None:
+        return f"Which way is up is not known: {scene.up.reason}"
+    return f"Up is {axis_words(scene.up.direction)}, from {scene.up.reason}"
+
+
+def _is_axis(direction: NDArray[Any]) -> bool:
+    return bool(np.abs(direction).max() > 0.99995)
 
 
 def layout_of(source: NDArray[Any], scene: Scene) -> Layout:
@@ -88,29 +123,15 @@ def layout_of(source: NDArray[Any], scene: Scene) -> Layout:
     low, high = box(np.concatenate((source, scene.target)))
     size = high - low
     view = max(VIEWS, key=lambda view: _cells_seen(scene.target[:, [view.right, view.up]], float(size.max())))
-    behind = _from_behind(scene, view)
     beside = 2 * size[view.right] <= _WIDEST * size[view.up]
     axis = view.right if beside else view.up
     gap = _GAP * float(max(size[view.right], size[view.up]))
     shift = np.zeros(3)
-    if beside or behind:
+    if beside:
         shift[axis] = box(scene.target)[0][axis] - box(source)[1][axis] - gap
     else:
         shift[axis] = box(scene.target)[1][axis] - box(source)[0][axis] + gap
-    return Layout(view, behind, axis, shift)
-
-
-def _from_behind(scene: Scene, view: View) -> bool:
-    """Whether the scanner stood on the far side of all it saw, as a camera does: the view is then from there.
-
-    A guess will do for a picture: the viewpoint counts whether it is known or assumed.
-    """
-    viewpoint = scene.clouds[1].viewpoint
-    if viewpoint is None or len(scene.target) == 0:
-        return False
-    low, high = (float(corner[view.depth]) for corner in box(scene.target))
-    place = float(viewpoint[0, view.depth])
-    return place < low + _EDGE * (high - low) if view.toward > 0 else place > high - _EDGE * (high - low)
+    return Layout(view, axis, shift)
 
 
 def _cells_seen(flat: NDArray[Any], size: float) -> int:

@@ -11,6 +11,7 @@ from torchreg.report.text import chance, columns, decimal, line, meters, odds, p
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
 _SHOWN = 6
+_EVEN, _NOTHING = 0.5, 1e-3  # strengths: about alike in all directions; not held at all in one
 _HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
 
 
@@ -48,12 +49,20 @@ def runner_up_text(facts: Facts) -> str:
 
 
 def meaning_of_strength(strength: float) -> str:
-    """How firmly the surfaces hold a pose of this strength."""
+    """How firmly the surfaces hold a pose of this strength where they hold it least.
+
+    The information about a direction is the inverse square of how far the pose may be off there, so 1 / strength is
+    by how many times it may be farther off in the loosest direction than in the firmest.
+    """
+    times = f"{1 / strength:.2g} times" if strength > _NOTHING else "far"
+    held = f"held {times} less firmly in its loosest direction than in its firmest"
     if strength < WEAK:
-        return "in some direction the surfaces hardly hold the pose, it can slide or turn there"
+        return f"{held}: it can slide or turn there"
     if strength < FIRM_STRENGTH:
-        return "in some direction the surfaces hold the pose weakly"
-    return "the surfaces hold the pose in every direction"
+        return f"{held}, which is weak"
+    if strength < _EVEN:
+        return f"{held}, which is usual"
+    return "held about as firmly in every direction"
 
 
 def _stages(facts: Facts) -> Iterator[str]:
