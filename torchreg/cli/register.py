@@ -17,9 +17,9 @@ from torchreg.cli.progress import step
 from torchreg.errors import expect, one_of
 from torchreg.io.formats import WRITERS, alternatives
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
-from torchreg.metrics import pose_errors
+from torchreg.metrics import PoseErrors, pose_errors
 from torchreg.registration.register import register as register_clouds
-from torchreg.report import FIGURE_SUFFIXES
+from torchreg.report import FIGURE_SUFFIXES, REPORT_SUFFIXES
 from torchreg.settings import Settings
 from torchreg.types import RegistrationResult
 
@@ -81,6 +81,16 @@ class Outputs:
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="FILE.html",
+            help="Write one page with verdict, numbers, pictures and both clouds in 3D, lengths in meters, as a "
+            f"{alternatives(REPORT_SUFFIXES)} file that opens without a network.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None
     explain: Annotated[
         bool,
         typer.Option(
@@ -101,6 +111,7 @@ class Outputs:
             Output("--aligned", self.aligned, tuple(WRITERS)),
             Output("--figure", self.figure, FIGURE_SUFFIXES),
             Output("--matches", self.matches, FIGURE_SUFFIXES),
+            Output("--report", self.report, REPORT_SUFFIXES),
         )
         check_outputs(outputs, inputs)
 
@@ -142,12 +153,15 @@ def register(
         )
     _write_clouds(outputs, pair, result)
     _draw(outputs, pair, result, f"{files.source.name} to {files.target.name}")
+    if outputs.report is not None:
+        _report(outputs.report, files, pair, result, errors)
     if outputs.json == STANDARD_OUTPUT:
         complain("registered" if success else f"not registered: {reason}")
     else:
         words = pair.words
-        notes = [f"{side}: {note}" for side, notes in pair.notes().items() for note in notes]
-        table = registration_table(result, source=words[0], target=words[1], truth=errors, file_notes=notes)
+        table = registration_table(
+            result, source=words[0], target=words[1], truth=errors, file_notes=pair.sided_notes()
+        )
         standard_output().print(table)
     if outputs.explain:
         console = standard_output(stderr=outputs.json == STANDARD_OUTPUT)
@@ -182,3 +196,15 @@ def _draw(outputs: Outputs, pair: ReadPair, result: RegistrationResult, names: s
     if outputs.matches is not None:
         with step(f"drawing {outputs.matches.name}"):
             save_figure(correspondence_figure(*pair.used, result, title=title), outputs.matches)
+
+
+def _report(
+    path: Path, files: PairArguments, pair: ReadPair, result: RegistrationResult, errors: PoseErrors | None
+) -> None:
+    from torchreg.report import write_report
+
+    names = (files.source.name, files.target.name)
+    with step(f"writing {path.name}"):
+        write_report(
+            *(path, result, *pair.whole), names=names, words=pair.words, file_notes=pair.sided_notes(), truth=errors
+        )

@@ -11,7 +11,17 @@ from torchreg.report.text import chance, columns, decimal, line, meters, odds, p
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
 _SHOWN = 6
-_HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
+CANDIDATE_HEADINGS = (
+    "origin",
+    "support",
+    "by chance",
+    "overlap",
+    "normals",
+    "colors",
+    "conflict",
+    "log-odds",
+    "probability",
+)
 
 
 def explanation(result: RegistrationResult, pair: int) -> str:
@@ -32,7 +42,7 @@ def explanation(result: RegistrationResult, pair: int) -> str:
         ValueError: ``pair`` is not one of the result's.
     """
     facts = facts_of(result, pair)
-    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), _verdict(facts)]
+    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), line("Verdict", verdict_text(facts))]
     return "\n".join(lines + [line("May help" if place == 0 else "", text) for place, text in enumerate(advice(facts))])
 
 
@@ -102,11 +112,12 @@ def _candidates(facts: Facts) -> Iterator[str]:
     rest = len(facts.candidates) - _SHOWN
     extent = f"the best {_SHOWN} of {len(facts.candidates)}" if rest > 0 else "all of them"
     yield line("Candidates", f"best first; {extent}")
-    rows = [_HEADINGS, *(_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
+    rows = [CANDIDATE_HEADINGS, *(candidate_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
     yield from (f"  {row}" for row in columns(rows))
 
 
-def _cells(candidate: Candidate) -> tuple[str, ...]:
+def candidate_cells(candidate: Candidate) -> tuple[str, ...]:
+    """What the table of the candidates has of one, below its headings."""
     return (
         candidate.origin,
         f"{candidate.support:,} of {candidate.matches:,}" if candidate.matches else "-",
@@ -144,9 +155,9 @@ def _pose(facts: Facts) -> Iterator[str]:
         yield line("Fit", f"{near}, inlier_rmse {meters(facts.inlier_rmse)}")
 
 
-def _verdict(facts: Facts) -> str:
+def verdict_text(facts: Facts) -> str:
     """Registered or not, how likely that is right, and why not."""
     verdict = "registered" if facts.success else "not registered"
     if facts.probability is not None:
         verdict += f", probability {chance(facts.probability)} that the pose is right"
-    return line("Verdict", verdict + ("" if facts.success or facts.failure is None else f"; {facts.failure}"))
+    return verdict + ("" if facts.success or facts.failure is None else f"; {facts.failure}")
