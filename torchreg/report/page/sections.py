@@ -23,6 +23,8 @@ from torchreg.report.tables import matrix_text, registration_table
 if TYPE_CHECKING:
     from rich.table import Table
 
+_SHOWN = 10  # candidates; the others are folded
+
 Section = Callable[[ReportedPair], str]
 
 
@@ -31,8 +33,8 @@ def verdict(reported: ReportedPair) -> str:
     facts = reported.facts
     text = verdict_text(facts)
     sentence = markup.paragraph(text[0].upper() + text[1:], "registered" if facts.success else "refused")
-    help_list = markup.listing(advice(facts))
-    return markup.section("Verdict", sentence, f"<h3>What may help</h3>\n{help_list}" if help_list else "")
+    remedies = "" if facts.success else "<h3>What may help</h3>\n" + markup.listing(advice(facts))
+    return markup.section("Verdict", sentence, remedies)
 
 
 def space(reported: ReportedPair) -> str:
@@ -89,7 +91,10 @@ def candidates(reported: ReportedPair) -> str:
     weighed = reported.facts.candidates
     if not weighed:
         return ""
-    return markup.section("Candidates", markup.columns(CANDIDATE_HEADINGS, map(candidate_cells, weighed)))
+    rows = [candidate_cells(candidate) for candidate in weighed]
+    best = markup.columns(CANDIDATE_HEADINGS, rows[:_SHOWN])
+    rest = markup.columns(CANDIDATE_HEADINGS, rows[_SHOWN:]) if rows[_SHOWN:] else ""
+    return markup.section("Candidates", best, rest and markup.folded(f"{len(rows[_SHOWN:]):,} more", rest))
 
 
 def explanation(reported: ReportedPair) -> str:

@@ -14,6 +14,7 @@
     form.hidden = true;
     return;
   }
+  const PAPER = [0.92, 0.925, 0.93]; // gray, so that white walls are seen
   const BARE = [0.72, 0.72, 0.72]; // of points without a color or a number
   const FIELD = 0.7; // radians, vertical angle of view
 
@@ -27,10 +28,14 @@
   const transposed = (rows) => Array.from({ length: 16 }, (_, k) => rows[k % 4][k >> 2]);
 
   // ---- the frame of the camera: up, and the two directions that are level
-  const up = unit(data.up);
-  const level = Math.abs(up[2]) > 0.9 ? [1, 0, 0] : Math.abs(up[1]) > 0.9 ? [1, 0, 0] : [0, 0, 1];
-  const right = unit(add(level, up, -dot(level, up)));
-  const ahead = cross(up, right);
+  let up, right, ahead;
+  const stand = (direction) => {
+    up = unit(direction);
+    const level = Math.abs(up[0]) > 0.9 ? [0, 1, 0] : [1, 0, 0];
+    right = unit(add(level, up, -dot(level, up)));
+    ahead = cross(up, right);
+  };
+  stand(data.up);
   const VIEWS = { oblique: [-1.0, 0.6], top: [-Math.PI / 2, Math.PI / 2], front: [-Math.PI / 2, 0], side: [0, 0] };
   const camera = { yaw: 0, pitch: 0, distance: 1, center: [0, 0, 0] };
 
@@ -72,7 +77,7 @@
   );
   const lines = program(
     "attribute vec3 place; uniform mat4 view; void main() { gl_Position = view * vec4(place, 1.0); }",
-    "precision mediump float; void main() { gl_FragColor = vec4(0.72, 0.72, 0.72, 1.0); }"
+    "precision mediump float; void main() { gl_FragColor = vec4(0.6, 0.6, 0.6, 1.0); }"
   );
 
   // ---- the clouds: places as 16 bit steps of a box, colors as bytes, both straight from base64
@@ -116,10 +121,14 @@
   };
 
   const fit = () => {
-    const { low, high } = state();
+    const { low, high } = state(), { side, top, back } = axesOfCamera();
     camera.center = low.map((v, i) => (v + high[i]) / 2);
-    const narrow = Math.min(1, canvas.clientWidth / Math.max(canvas.clientHeight, 1));
-    camera.distance = (0.5 * Math.hypot(...add(high, low, -1))) / Math.sin(FIELD / 2) / narrow;
+    const across = Math.tan(FIELD / 2) * 0.84, ratio = canvas.clientWidth / Math.max(canvas.clientHeight, 1);
+    const needed = corners().map((corner) => {
+      const from = add(corner, camera.center, -1);
+      return dot(from, back) + Math.max(Math.abs(dot(from, top)), Math.abs(dot(from, side)) / ratio) / across;
+    });
+    camera.distance = Math.max(...needed);
   };
   const look = (name) => {
     [camera.yaw, camera.pitch] = VIEWS[name];
@@ -165,11 +174,12 @@
     const at = onScreen(view, point), from = onScreen(view, away);
     if (!at || !from) return;
     const span = document.createElement("span");
+    const inside = (v, most) => `${(100 * Math.min(Math.max(v, 20), most - 20)) / most}%`; // also of another size on paper
     const off = [at[0] - from[0], at[1] - from[1]], length = Math.hypot(...off) || 1, gap = kind === "axis" ? 44 : 17;
     span.className = kind;
     span.textContent = text;
-    span.style.left = `${at[0] + (off[0] / length) * gap}px`;
-    span.style.top = `${at[1] + (off[1] / length) * gap}px`;
+    span.style.left = inside(at[0] + (off[0] / length) * gap, canvas.clientWidth);
+    span.style.top = inside(at[1] + (off[1] / length) * gap, canvas.clientHeight);
     labels.append(span);
   };
   const drawLabels = (view) => {
@@ -203,7 +213,7 @@
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((v) => Math.max(1, Math.round(v * scale)));
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.viewport(0, 0, width, height);
-    gl.clearColor(1, 1, 1, 1);
+    gl.clearColor(...PAPER, 1);
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const view = viewMatrix(), mode = choice("coloring"), now = Number(choice("state") ?? data.state);
@@ -214,7 +224,7 @@
     gl.uniform3fv(dots.uniforms.up, up);
     gl.uniform1f(dots.uniforms.cut, cutHeight());
     gl.uniform1f(dots.uniforms.size, ((points / 700) * diagonal * height) / (2 * Math.tan(FIELD / 2)));
-    gl.uniform1f(dots.uniforms.least, 1.3 * scale);
+    gl.uniform1f(dots.uniforms.least, 1.5 * scale);
     gl.uniform1f(dots.uniforms.most, 24 * scale);
     for (const cloud of clouds) {
       if (!cloud.shown || cloud.count === 0) continue;
@@ -253,6 +263,10 @@
     const { name, checked, value } = event.target;
     if (name === "cloud") clouds[Number(value)].shown = checked;
     if (name === "state") fit();
+    if (name === "up") {
+      stand(value.split(" ").map(Number));
+      look("oblique");
+    }
     root.querySelectorAll(".viewer-scale").forEach((bar) => (bar.hidden = choice("coloring") !== "scalars"));
     redraw();
   });

@@ -111,7 +111,7 @@ def viewer_html(
             '<div class="viewer-labels" aria-hidden="true"></div>',
             "</div>",
             '<form autocomplete="off">',
-            *_controls(clouds, states, state),
+            *_controls(clouds, states, state, up),
             "</form>",
             *(() if scale is None else (_color_bar(scale),)),
             '<p class="viewer-help">Drag: turn. Shift or right button, or two fingers: move. Wheel or pinch: zoom. '
@@ -147,7 +147,7 @@ def _check(cloud: ViewedCloud, states: int, scale: Scale | None) -> None:
         expect(scale is not None, "scale", "one, since a cloud has scalars", scale)
 
 
-def _controls(clouds: Sequence[ViewedCloud], states: Sequence[str], state: int) -> list[str]:
+def _controls(clouds: Sequence[ViewedCloud], states: Sequence[str], state: int, up: Sequence[float]) -> list[str]:
     boxes = "".join(
         f'<label><input type="checkbox" name="cloud" value="{place}" checked>'
         f'<span class="viewer-swatch" style="background:{escaped(cloud.color)}"></span>{escaped(cloud.name)}</label>'
@@ -166,10 +166,26 @@ def _controls(clouds: Sequence[ViewedCloud], states: Sequence[str], state: int) 
         f"<fieldset><legend>Clouds</legend>{boxes}</fieldset>",
         _radio("Pose", "state", poses, str(state)) if len(states) > 1 else "",
         _radio("Colors", "coloring", colorings, "scan"),
-        f"<fieldset><legend>View</legend>{views}</fieldset>",
+        f"<fieldset><legend>View</legend>{views}{_directions(up)}</fieldset>",
         '<label>Point size <input type="range" name="size" min="0.5" max="6" step="0.5" value="2"></label>',
         '<label>Hide above <input type="range" name="cut" min="0" max="100" step="1" value="100"></label>',
     ]
+
+
+def _directions(up: Sequence[float]) -> str:
+    """What can be up: the axes and their opposites, after the direction given where that is none of them."""
+    axes = np.concatenate((np.eye(3), -np.eye(3)))[[2, 5, 1, 4, 0, 3]]
+    names = dict(zip(map(_vector, axes), ("z", "-z", "y", "-y", "x", "-x"), strict=True))
+    given = _vector(up)
+    options = "".join(
+        f'<option value="{value}"{" selected" if value == given else ""}>{name}</option>'
+        for value, name in ({given: "as given"} | names).items()
+    )
+    return f'<label>Up <select name="up">{options}</select></label>'
+
+
+def _vector(values: Sequence[float] | NDArray[Any]) -> str:
+    return " ".join(f"{float(value) + 0.0:.9g}" for value in values)
 
 
 def _radio(heading: str, name: str, choices: dict[str, str], chosen: str) -> str:
