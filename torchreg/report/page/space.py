@@ -14,7 +14,7 @@ from torchreg.neighborhoods.point_index import nearest
 from torchreg.report.figures import SOURCE_COLOR, TARGET_COLOR
 from torchreg.report.page.markup import paragraph
 from torchreg.report.page.reported import ReportedPair
-from torchreg.report.page.viewer import Scale, ViewedCloud, viewer_html
+from torchreg.report.page.viewer import ScalarScale, ViewedCloud, viewer_html
 from torchreg.report.scene import Scene, scene_of
 from torchreg.report.views import axis_label
 from torchreg.types import Clouds
@@ -118,7 +118,7 @@ def _distances(moved: NDArray[Any], target: Clouds) -> NDArray[Any] | None:
     return distances
 
 
-def _scale(distances: NDArray[Any], reported: ReportedPair) -> Scale:
+def _scale(distances: NDArray[Any], reported: ReportedPair) -> ScalarScale:
     """From zero to some inlier thresholds, rounded up; in millimeters below a meter."""
     threshold = reported.facts.threshold
     wanted = float(np.quantile(distances, _MOST)) if threshold is None else _THRESHOLDS * threshold
@@ -128,4 +128,4 @@ def _scale(distances: NDArray[Any], reported: ReportedPair) -> Scale:
     unit, factor = ("mm", 1000.0) if high < 1 else ("m", 1.0)
     name = "Distance of source points to the nearest target point"
     pose = "after registration" if reported.facts.success else "under the likeliest pose, which was refused"
-    return Scale(name=f"{name}, {pose}", unit=unit, low=0.0, high=high * factor)
+    return ScalarScale(name=f"{name}, {pose}", unit=unit, low=0.0, high=high * factor)

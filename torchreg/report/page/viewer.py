@@ -40,7 +40,7 @@ class ViewedCloud:
             be small: they are drawn in float32.
         color: such as ``#d55e00``, in which it is told apart.
         colors: (N, 3) in [0, 1], or ``None``.
-        scalars: (N,) numbers in the unit of the view's ``Scale``, or ``None``.
+        scalars: (N,) numbers in the unit of the view's ``ScalarScale``, or ``None``.
     """
 
     name: str
@@ -52,7 +52,7 @@ class ViewedCloud:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scale:
+class ScalarScale:
     """What the numbers of the points are, and the range that the colors span; numbers beyond have the last color."""
 
     name: str
@@ -66,7 +66,7 @@ def viewer_html(
     *,
     states: Sequence[str] = ("as placed",),
     state: int = 0,
-    scale: Scale | None = None,
+    scale: ScalarScale | None = None,
     up: Sequence[float] = (0.0, 0.0, 1.0),
     axes: Sequence[str] = ("x (m)", "y (m)", "z (m)"),
     label: str = "3D view of the clouds",
@@ -134,7 +134,7 @@ def _file(name: str) -> str:
     return (_FILES / name).read_text(encoding="utf-8")
 
 
-def _check(cloud: ViewedCloud, states: int, scale: Scale | None) -> None:
+def _check(cloud: ViewedCloud, states: int, scale: ScalarScale | None) -> None:
     count, name = len(cloud.points), f"cloud {cloud.name!r}"
     expect(cloud.points.shape == (count, 3), f"{name}, points", "(N, 3)", cloud.points.shape)
     expect(bool(np.isfinite(cloud.points).all()), f"{name}, points", "finite numbers", "NaN or infinity")
@@ -197,7 +197,7 @@ def _radio(heading: str, name: str, choices: dict[str, str], chosen: str) -> str
     return f"<fieldset><legend>{heading}</legend>{buttons}</fieldset>"
 
 
-def _color_bar(scale: Scale) -> str:
+def _color_bar(scale: ScalarScale) -> str:
     middle = (scale.low + scale.high) / 2
     ends = (f"{scale.low:.4g} {scale.unit}", f"{middle:.4g} {scale.unit}", f"{scale.high:.4g} {scale.unit} or more")
     return (
@@ -207,7 +207,7 @@ def _color_bar(scale: Scale) -> str:
     )
 
 
-def _cloud_data(cloud: ViewedCloud, scale: Scale | None) -> dict[str, object]:
+def _cloud_data(cloud: ViewedCloud, scale: ScalarScale | None) -> dict[str, object]:
     """Points as steps of their box, three 16 bit numbers each, little end first; colors and scalars as bytes."""
     count = len(cloud.points)
     low = cloud.points.min(axis=0) if count else np.zeros(3)
