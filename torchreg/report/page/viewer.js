@@ -170,41 +170,51 @@
     return w <= 0 ? null : [(x / w + 1) / 2 * canvas.clientWidth, (1 - y / w) / 2 * canvas.clientHeight];
   };
   const labels = root.querySelector(".viewer-labels");
+  let taken = []; // rectangles of the labels of this frame: left, right, top, bottom
   const label = (view, point, away, text, kind) => {
     const at = onScreen(view, point), from = onScreen(view, away);
     if (!at || !from) return;
+    const off = [at[0] - from[0], at[1] - from[1]], length = Math.hypot(...off) || 1;
+    const half = [3.3 * text.length + 2, 8]; // about the half width and height of the text
+    const gap = (kind === "axis" ? 34 : 11) + (half[0] * Math.abs(off[0])) / length;
+    const size = [canvas.clientWidth, canvas.clientHeight];
+    const place = size.map((most, i) => Math.min(Math.max(at[i] + (off[i] / length) * gap, half[i]), most - half[i]));
+    const [left, right] = [place[0] - half[0], place[0] + half[0]], [top, bottom] = [place[1] - half[1], place[1] + half[1]];
+    if (taken.some((box) => left < box[1] && right > box[0] && top < box[3] && bottom > box[2])) return;
+    taken.push([left, right, top, bottom]);
     const span = document.createElement("span");
-    const inside = (v, most) => `${(100 * Math.min(Math.max(v, 20), most - 20)) / most}%`; // also of another size on paper
-    const off = [at[0] - from[0], at[1] - from[1]], length = Math.hypot(...off) || 1, gap = kind === "axis" ? 44 : 17;
     span.className = kind;
     span.textContent = text;
-    span.style.left = inside(at[0] + (off[0] / length) * gap, canvas.clientWidth);
-    span.style.top = inside(at[1] + (off[1] / length) * gap, canvas.clientHeight);
+    span.style.left = `${(100 * place[0]) / size[0]}%`; // also right where the canvas has another size, as on paper
+    span.style.top = `${(100 * place[1]) / size[1]}%`;
     labels.append(span);
+  };
+  const edgeOfAxis = (view, axis) => {
+    const { low, high } = state(), middle = low.map((v, i) => (v + high[i]) / 2), center = onScreen(view, middle);
+    const edges = corners().filter((_, k) => !((k >> axis) & 1)).map((corner) => {
+      const half = corner.map((v, i) => (i === axis ? middle[i] : v)), at = onScreen(view, half);
+      // the outermost edge, rather below and to the left
+      const out = at && center ? Math.hypot(at[0] - center[0], at[1] - center[1]) + 0.3 * (at[1] - at[0]) : -Infinity;
+      return { half, out };
+    });
+    const edge = edges.reduce((best, other) => (other.out > best.out ? other : best)).half;
+    const ends = [low, high].map((side) => onScreen(view, edge.map((v, i) => (i === axis ? side[i] : v))));
+    const seen = ends[0] && ends[1] ? Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) : 0;
+    return { axis, edge, middle, low: low[axis], high: high[axis], seen };
   };
   const drawLabels = (view) => {
     labels.replaceChildren();
-    const { low, high } = state(), middle = low.map((v, i) => (v + high[i]) / 2), center = onScreen(view, middle);
+    taken = [];
+    const { low, high } = state();
     const rough = Math.max(...add(high, low, -1)) / 6, power = 10 ** Math.floor(Math.log10(rough));
     const tick = [1, 2, 5, 10].map((k) => k * power).find((v) => v >= rough);
-    for (let axis = 0; axis < 3; axis++) {
-      const edges = corners().filter((_, k) => !((k >> axis) & 1)).map((corner) => {
-        const half = corner.map((v, i) => (i === axis ? middle[i] : v)), at = onScreen(view, half);
-        // the outermost edge, rather below and to the left
-        const out = at && center ? Math.hypot(at[0] - center[0], at[1] - center[1]) + 0.3 * (at[1] - at[0]) : -Infinity;
-        return { half, out };
-      });
-      const edge = edges.reduce((best, other) => (other.out > best.out ? other : best)).half;
-      const ends = [low, high].map((side) => onScreen(view, edge.map((v, i) => (i === axis ? side[i] : v))));
-      if (!ends[0] || !ends[1]) continue;
-      const seen = Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]);
-      if (seen < 40) continue; // looked at from its end
-      for (let k = Math.ceil(low[axis] / tick); k * tick <= high[axis]; k++) {
-        const point = edge.map((v, i) => (i === axis ? k * tick : v));
-        const inward = middle.map((v, i) => (i === axis ? k * tick : v));
+    const edges = [0, 1, 2].map((axis) => edgeOfAxis(view, axis)).filter(({ seen }) => seen > 60); // others: end on
+    for (const { axis, edge, middle } of edges) label(view, edge, middle, data.axes[axis], "axis");
+    for (const { axis, edge, middle, low, high } of edges) {
+      for (let k = Math.ceil(low / tick); k * tick <= high; k++) {
+        const [point, inward] = [edge, middle].map((p) => p.map((v, i) => (i === axis ? k * tick : v)));
         label(view, point, inward, String(+(k * tick).toPrecision(6)), "tick");
       }
-      label(view, edge, middle, data.axes[axis], "axis");
     }
   };
 
