@@ -17,7 +17,7 @@ from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.reading import Reading
 from torchreg.io.units import UNITS
-from torchreg.registration.options import EFFORTS, LEARNED, PAPER, RegistrationOptions
+from torchreg.registration.options import EFFORTS, LEARNED, PAPER, REFINE_POINTS, REFINEMENTS, RegistrationOptions
 from torchreg.registration.spacing import MAX_POINTS, options_for
 from torchreg.solvers import SOLVERS, RansacOptions
 
@@ -255,6 +255,23 @@ class Settings(StageSettings):
         "solvers and always two looks (thorough).",
         choices=EFFORTS,
         change=_field("effort"),
+    )
+    refine: str | None = setting(
+        None,
+        "Search",
+        "How far the pose is refined at the end; by default full, and none with the presets paper and learned and the "
+        "effort plain. none: as it was found. coarse: on the thinned clouds. full: on the clouds as they were read, to "
+        "a part of their noise, with residuals and the deviation of the pose.",
+        choices=REFINEMENTS,
+        change=_field("refine"),
+    )
+    refine_points: int | None = setting(
+        None,
+        "Search",
+        f"Small planes of each cloud that the pose is refined on, about; by default {REFINE_POINTS:,}.",
+        metavar="COUNT",
+        least=100,
+        change=_field("refine_points"),
     )
     solver: str | None = setting(
         None,

@@ -124,6 +124,10 @@ BAD_WORDS = {
     "viewpoint": (["register", "a.ply", "b.ply", "--viewpoint", "1,2"], "--viewpoint"),
     "figure": (["register", "a.ply", "b.ply", "--figure", "p.gif"], "--figure"),
     "matches": (["register", "a.ply", "b.ply", "--matches", "m.bmp"], "--matches"),
+    "report": (
+        ["register", "a.ply", "b.ply", "--report", "r.pdf"],
+        "--report: expected a name that ends in .html or .htm, got 'r.pdf'",
+    ),
     "effort": (["register", "a.ply", "b.ply", "--effort", "heroic"], "thorough"),
     "solver": (["register", "a.ply", "b.ply", "--solver", "magic"], "compatibility"),
     "picture twice": (["register", "a.ply", "b.ply", "--figure", "p.png", "--matches", "p.png"], "--matches"),

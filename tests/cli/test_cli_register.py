@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from pages import Page
 from problems import room_pair
 
 import torchreg as tr
@@ -142,15 +143,17 @@ def test_threads(run, room):
 
 def test_a_failed_registration_says_why_and_writes_no_transform(run, room, cloud_file, tmp_path):
     line = cloud_file("line.ply", torch.linspace(0, 5, 200)[:, None] * torch.tensor([1.0, 2.0, 0.5]))
-    outputs = {name: tmp_path / name for name in ("r.json", "T.txt", "a.ply", "p.png", "m.png")}
+    outputs = {name: tmp_path / name for name in ("r.json", "T.txt", "a.ply", "p.png", "m.png", "p.html")}
     result = run(
         *("register", line, room.target, "--json", outputs["r.json"], "--transform", outputs["T.txt"]),
         *("--aligned", outputs["a.ply"], "--figure", outputs["p.png"], "--matches", outputs["m.png"], "--explain"),
+        *("--report", outputs["p.html"]),
     )
     assert result.exit_code == 3
     assert "not registered: a degenerate cloud" in result.stdout
     assert "T_target_source" not in result.stdout
-    assert [name for name, path in outputs.items() if path.exists()] == ["r.json", "p.png", "m.png"]
+    assert [name for name, path in outputs.items() if path.exists()] == ["r.json", "p.png", "m.png", "p.html"]
+    assert "Not registered" in Page(outputs["p.html"].read_text(encoding="utf-8")).text("p")
     found = json.loads(outputs["r.json"].read_text(), parse_constant=pytest.fail)
     assert found["success"] is False
     assert found["reason"] in result.stdout
@@ -286,6 +289,17 @@ def test_the_picture_of_the_matches(run, room, tmp_path):
     words = ("--matches", pictures[1], "--points", "2000", "--voxel", "0.2")
     assert run("register", room.source, room.target, *words).exit_code == 0
     assert pictures[1].read_bytes().startswith(b"%PDF")
+
+
+def test_the_page_on_a_pair(run, room, tmp_path):
+    path = tmp_path / "room.html"
+    result = run("register", room.source, room.target, "--report", path, "--truth", room.truth, "--points", "3000")
+    assert result.exit_code == 0, result.output
+    page = Page(path.read_text(encoding="utf-8"))
+    assert "torchreg: source.ply to target.ply" in page.text("h1")
+    assert f"{room.source}: 3,000 of " in page.text("td")
+    assert "RRE" in page.text("td")
+    assert "Registered" in page.text("p")
 
 
 @pytest.mark.real

@@ -28,7 +28,8 @@ REGISTERED, REFUSED, UNREADABLE, BROKEN = "registered", "refused", "unreadable",
 RETRIED = (UNREADABLE, BROKEN)
 """States that the next run of the same batch tries again."""
 
-_AS_IN_RECORD = ("reason", "probability", "margin", "fitness", "inlier_rmse", "overlap", "strength")
+_AS_IN_RECORD = ("reason", "probability", "margin", "fitness", "inlier_rmse", "overlap", "strength",
+    "residual_median", "residual_rms", "residual_95")  # fmt: skip
 
 
 class Bounds(NamedTuple):
@@ -78,6 +79,9 @@ COLUMNS: dict[str, str] = {
     "inlier_rmse": "number",
     "overlap": "number",
     "strength": "number",
+    "residual_median": "number",
+    "residual_rms": "number",
+    "residual_95": "number",
     "correspondences": "count",
     "inliers": "count",
     "points_source": "count",

@@ -79,6 +79,10 @@ class ReadPair:
         names = zip(("source", "target"), self.files, strict=True)
         return {name: [by_options(note) for note in file.notes] for name, file in names}
 
+    def sided_notes(self) -> list[str]:
+        """What reading showed, each note with the side it is of."""
+        return [f"{side}: {note}" for side, notes in self.notes().items() for note in notes]
+
     def counts(self) -> dict[str, dict[str, int]]:
         """Points in the files and points used, for JSON."""
         numbers = zip(("source", "target"), self.files, self.used, strict=True)

@@ -18,9 +18,9 @@ from torchreg.cli.progress import step
 from torchreg.errors import expect, one_of
 from torchreg.io.formats import WRITERS, alternatives
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
-from torchreg.metrics import pose_errors
+from torchreg.metrics import PoseErrors, pose_errors
 from torchreg.registration.register import register as register_clouds
-from torchreg.report import FIGURE_SUFFIXES
+from torchreg.report import FIGURE_SUFFIXES, REPORT_SUFFIXES
 from torchreg.settings import Settings
 from torchreg.types import RegistrationResult
 from torchreg.verification.likeliest import likeliest_pose
@@ -94,6 +94,16 @@ class Outputs:
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="FILE.html",
+            help="Write one page with verdict, numbers, pictures and both clouds in 3D, lengths in meters, as a "
+            f"{alternatives(REPORT_SUFFIXES)} file that opens without a network.",
+            rich_help_panel=opt.OUTPUT,
+        ),
+    ] = None
     explain: Annotated[
         bool,
         typer.Option(
@@ -116,6 +126,7 @@ class Outputs:
             Output("--aligned", self.aligned, tuple(WRITERS)),
             Output("--figure", self.figure, FIGURE_SUFFIXES),
             Output("--matches", self.matches, FIGURE_SUFFIXES),
+            Output("--report", self.report, REPORT_SUFFIXES),
         )
         check_outputs(outputs, inputs)
 
@@ -165,12 +176,16 @@ def register(
         written += [outputs.json] if outputs.json != STANDARD_OUTPUT else []
     written += _write_by_pose(outputs, pair, T, success=success)
     written += _draw(outputs, pair, result, T, f"{files.source.name} to {files.target.name}")
+    if outputs.report is not None:
+        _report(outputs.report, files, pair, result, errors)
+        written.append(outputs.report)
     if outputs.json == STANDARD_OUTPUT:
         complain("registered" if success else f"not registered: {reason}")
     else:
         words = pair.words
-        notes = [f"{side}: {note}" for side, notes in pair.notes().items() for note in notes]
-        table = registration_table(result, source=words[0], target=words[1], truth=errors, file_notes=notes)
+        table = registration_table(
+            result, source=words[0], target=words[1], truth=errors, file_notes=pair.sided_notes()
+        )
         standard_output().print(table)
     if outputs.explain:
         console = standard_output(stderr=outputs.json == STANDARD_OUTPUT)
@@ -218,3 +233,15 @@ def _draw(outputs: Outputs, pair: ReadPair, result: RegistrationResult, T: Tenso
         with step(f"drawing {outputs.matches.name}"):
             save_figure(correspondence_figure(*pair.used, result, title=title), outputs.matches)
     return [path for path in (outputs.figure, outputs.matches) if path is not None]
+
+
+def _report(
+    path: Path, files: PairArguments, pair: ReadPair, result: RegistrationResult, errors: PoseErrors | None
+) -> None:
+    from torchreg.report import write_report
+
+    names = (files.source.name, files.target.name)
+    with step(f"writing {path.name}"):
+        write_report(
+            *(path, result, *pair.whole), names=names, words=pair.words, file_notes=pair.sided_notes(), truth=errors
+        )

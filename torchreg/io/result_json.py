@@ -23,6 +23,7 @@ from torchreg.verification.likeliest import likeliest_pose
 from torchreg.version import __version__
 
 _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "margin")
+_REFINED = ("residual_median", "residual_rms", "residual_95", "covariance", "center", "axis_strength")
 
 
 def result_to_dict(
@@ -52,6 +53,9 @@ def result_to_dict(
         - ``fitness``, ``inlier_rmse`` (meters), ``probability``, ``overlap``, ``strength``: numbers;
         - ``information``: 6 x 6, rotations before translations, or ``None``;
         - ``runner_up``: 4 x 4, or ``None`` where there is none; ``margin``: log-odds, ``None`` where infinite;
+        - ``residual_median``, ``residual_rms``, ``residual_95``: meters; ``covariance``: 6 x 6, rotations (radians) about
+          ``center`` (x, y, z in the target's frame) before translations (meters); ``axis_strength``: 6 numbers, in the
+          same order; ``None`` where the pose was not refined;
         - ``candidates``: a list, best first, of origin, T_target_source (4 x 4), support, matches, surprise, overlap,
           closeness, normals, colors, conflict, log_odds, probability, as ``Candidate`` describes them;
         - ``stages``: given, points and described (source and target each), and proposals, a list of origin, matches,
@@ -83,7 +87,7 @@ def result_to_dict(
         "likeliest_T_target_source": None if success else T,
         "fitness": float(result.fitness[pair]),
         "inlier_rmse": float(result.inlier_rmse[pair]),
-        **{name: _value(getattr(result, name), pair) for name in _VERIFIED},
+        **{name: _value(getattr(result, name), pair) for name in (*_VERIFIED, *_REFINED)},
         "candidates": result.candidates[pair] if result.candidates else (),
         "stages": stages,
         "counts": {"correspondences": end - begin, "inliers": int(result.inliers[begin:end].sum()), **counts},

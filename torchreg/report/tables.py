@@ -12,7 +12,13 @@ from torchreg.batch.summary import Summary
 from torchreg.io import CloudFile
 from torchreg.metrics import PoseErrors
 from torchreg.registration.options import RegistrationOptions
-from torchreg.report.explain.explanation import meaning_of_strength, runner_up_text
+from torchreg.report.explain.explanation import (
+    axis_strength_text,
+    deviations_text,
+    meaning_of_strength,
+    residuals_text,
+    runner_up_text,
+)
 from torchreg.report.explain.facts import Facts, facts_of
 from torchreg.report.text import chance, counted, meters, plain, share
 from torchreg.types import RegistrationResult
@@ -146,6 +152,12 @@ def _registration_rows(facts: Facts) -> Iterator[tuple[str, str]]:
     yield "inlier_rmse", meters(facts.inlier_rmse)
     if facts.overlap is not None:
         yield "overlap", f"{facts.overlap:.4f} of the points have a partner"
+    if facts.residuals is not None:
+        yield "residuals", residuals_text(facts)
+    if facts.deviations is not None:
+        yield "deviation of pose", deviations_text(facts)
+    if facts.axis_strength is not None:
+        yield "strength by axis", axis_strength_text(facts)
     if facts.strength is not None:
         yield "strength", f"{facts.strength:.3f} of 1: {meaning_of_strength(facts.strength)}"
     if facts.margin is not None or facts.apart is not None:

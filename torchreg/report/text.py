@@ -33,6 +33,11 @@ def counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
+def millimeters(*values: float) -> str:
+    """Such as ``0.74 mm`` or ``0.74, 1.6, 3.6 mm``: two significant digits at least."""
+    return ", ".join(f"{1000 * value:.2g}" if value < 0.01 else f"{1000 * value:.0f}" for value in values) + " mm"
+
+
 def share(part: int, whole: int) -> str:
     """Such as ``310 of 2,104 (14.7 %)``, with the digits of ``percent``."""
     return f"{part:,} of {whole:,} ({percent(part / whole)})" if whole else f"{part:,} of 0"

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from torchreg.report.text import chance, meters
+import torch
+
+from torchreg.report.text import chance, millimeters
 from torchreg.types import RegistrationResult
 
 
-def picture_title(names: str, result: RegistrationResult, pair: int = 0, *, residual: float | None = None) -> str:
+def picture_title(names: str, result: RegistrationResult, pair: int = 0) -> str:
     """Names, verdict, probability and residual of a pair in one line, as far as they are known.
 
     Args:
         names: what the pair is called, such as "a.ply to b.ply".
         result: of B pairs.
         pair: which one.
-        residual: how far surfaces lie apart under the transform, meters, where it was measured.
 
     Example:
         >>> import torchreg as tr
@@ -25,6 +26,6 @@ def picture_title(names: str, result: RegistrationResult, pair: int = 0, *, resi
     known = ["registered" if failure is None else f"not registered ({failure.kind})"]
     if result.probability is not None:
         known.append(f"probability {chance(float(result.probability[pair]))}")
-    if residual is not None:
-        known.append(f"residual {meters(residual)}")
+    if result.residual_median is not None and bool(torch.isfinite(result.residual_median[pair])):
+        known.append(f"residual {millimeters(float(result.residual_median[pair]))}")
     return f"{names}: {', '.join(known)}"

@@ -7,12 +7,22 @@ from collections.abc import Iterator
 
 from torchreg.report.explain.advice import advice
 from torchreg.report.explain.facts import FIRM_STRENGTH, WEAK, Facts, facts_of
-from torchreg.report.text import chance, columns, decimal, line, meters, odds, percent, share
+from torchreg.report.text import chance, columns, decimal, line, meters, millimeters, odds, percent, share
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
 _SHOWN = 6
 _EVEN, _NOTHING = 0.5, 1e-3  # strengths: about alike in all directions; not held at all in one
-_HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
+CANDIDATE_HEADINGS = (
+    "origin",
+    "support",
+    "by chance",
+    "overlap",
+    "normals",
+    "colors",
+    "conflict",
+    "log-odds",
+    "probability",
+)
 
 
 def explanation(result: RegistrationResult, pair: int) -> str:
@@ -33,7 +43,7 @@ def explanation(result: RegistrationResult, pair: int) -> str:
         ValueError: ``pair`` is not one of the result's.
     """
     facts = facts_of(result, pair)
-    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), _verdict(facts)]
+    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), line("Verdict", verdict_text(facts))]
     return "\n".join(lines + [line("May help" if place == 0 else "", text) for place, text in enumerate(advice(facts))])
 
 
@@ -46,6 +56,33 @@ def runner_up_text(facts: Facts) -> str:
     if facts.margin is None or not math.isfinite(facts.margin):
         return text
     return f"{text}; log-odds {decimal(facts.margin, 1)} lower ({odds(facts.margin)})"
+
+
+def residuals_text(facts: Facts) -> str:
+    """How far the surfaces of the overlap lie apart; empty where it was not measured."""
+    if facts.residuals is None:
+        return ""
+    median, rms, most = facts.residuals
+    between = f"median {millimeters(median)}, RMS {millimeters(rms)}, 95 % below {millimeters(most)}"
+    return f"{between}, between the surfaces of the overlap"
+
+
+def deviations_text(facts: Facts) -> str:
+    """The standard deviations of the pose; empty where they are not known."""
+    if facts.deviations is None:
+        return ""
+    turns = ", ".join(f"{math.degrees(turn):.2g}" for turn in facts.deviations[:3])
+    return (
+        f"{millimeters(*facts.deviations[3:])} along x, y, z; {turns} degrees about them, at the middle of the overlap"
+    )
+
+
+def axis_strength_text(facts: Facts) -> str:
+    """How firmly each motion is held; empty where it is not known."""
+    if facts.axis_strength is None:
+        return ""
+    turns, shifts = ([f"{value:.2f}" for value in part] for part in (facts.axis_strength[:3], facts.axis_strength[3:]))
+    return f"{', '.join(shifts)} of 1 along x, y, z; {', '.join(turns)} about them"
 
 
 def meaning_of_strength(strength: float) -> str:
@@ -111,11 +148,12 @@ def _candidates(facts: Facts) -> Iterator[str]:
     rest = len(facts.candidates) - _SHOWN
     extent = f"the best {_SHOWN} of {len(facts.candidates)}" if rest > 0 else "all of them"
     yield line("Candidates", f"best first; {extent}")
-    rows = [_HEADINGS, *(_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
+    rows = [CANDIDATE_HEADINGS, *(candidate_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
     yield from (f"  {row}" for row in columns(rows))
 
 
-def _cells(candidate: Candidate) -> tuple[str, ...]:
+def candidate_cells(candidate: Candidate) -> tuple[str, ...]:
+    """What the table of the candidates has of one, below its headings."""
     return (
         candidate.origin,
         f"{candidate.support:,} of {candidate.matches:,}" if candidate.matches else "-",
@@ -148,14 +186,21 @@ def _pose(facts: Facts) -> Iterator[str]:
         yield line("Overlap", f"{percent(facts.overlap)} of the points have a partner within {within}")
     if facts.strength is not None:
         yield line("Strength", f"{decimal(facts.strength)} of 1: {meaning_of_strength(facts.strength)}")
+    for name, text in (
+        ("Residuals", residuals_text(facts)),
+        ("Deviation", deviations_text(facts)),
+        ("By axis", axis_strength_text(facts)),
+    ):
+        if text:
+            yield line(name, text)
     if facts.fitness > 0:
         near = f"fitness {decimal(facts.fitness)} (source points with a target point within {within})"
         yield line("Fit", f"{near}, inlier_rmse {meters(facts.inlier_rmse)}")
 
 
-def _verdict(facts: Facts) -> str:
+def verdict_text(facts: Facts) -> str:
     """Registered or not, how likely that is right, and why not."""
     verdict = "registered" if facts.success else "not registered"
     if facts.probability is not None:
         verdict += f", probability {chance(facts.probability)} that the pose is right"
-    return line("Verdict", verdict + ("" if facts.success or facts.failure is None else f"; {facts.failure}"))
+    return verdict + ("" if facts.success or facts.failure is None else f"; {facts.failure}")

@@ -41,6 +41,9 @@ class Facts(NamedTuple):
     overlap: float | None
     strength: float | None
     margin: float | None
+    residuals: tuple[float, float, float] | None  # meters: median, root mean square, 95 % of surfaces
+    deviations: tuple[float, ...] | None  # of turns about x, y, z (radians) and shifts (meters), from the covariance
+    axis_strength: tuple[float, ...] | None
     apart: tuple[float, float] | None  # degrees and meters between the pose and its runner-up
     candidates: tuple[Candidate, ...]
 
@@ -87,6 +90,9 @@ def facts_of(result: RegistrationResult, pair: int) -> Facts:
         overlap=_known(result.overlap, pair) if posed else None,
         strength=_known(result.strength, pair) if posed else None,
         margin=_known(result.margin, pair) if posed else None,
+        residuals=_residuals(result, pair),
+        deviations=_deviations(result, pair),
+        axis_strength=_numbers(result.axis_strength, pair),
         apart=_apart(result, pair, candidates) if posed else None,
         candidates=candidates,
     )
@@ -129,3 +135,19 @@ def _middle(result: RegistrationResult, pair: int) -> tuple[float, float, float]
     rows = result.information[pair].tolist()
     count = rows[3][3]
     return (rows[2][4] / count, rows[0][5] / count, rows[1][3] / count) if count > 0 else None
+
+
+def _numbers(values: Tensor | None, pair: int) -> tuple[float, ...] | None:
+    """The pair's numbers; ``None`` where one of them was not computed."""
+    own = None if values is None else tuple(values[pair].tolist())
+    return own if own is not None and all(map(math.isfinite, own)) else None
+
+
+def _residuals(result: RegistrationResult, pair: int) -> tuple[float, float, float] | None:
+    known = [_known(value, pair) for value in (result.residual_median, result.residual_rms, result.residual_95)]
+    median, rms, most = known
+    return None if median is None or rms is None or most is None else (median, rms, most)
+
+
+def _deviations(result: RegistrationResult, pair: int) -> tuple[float, ...] | None:
+    return None if result.covariance is None else _numbers(result.covariance.diagonal(dim1=1, dim2=2).sqrt(), pair)
