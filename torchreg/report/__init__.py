@@ -7,7 +7,7 @@ from torchreg.report.canvas import FIGURE_SUFFIXES, save_figure
 from torchreg.report.correspondences import correspondence_figure
 from torchreg.report.demo import DemoRow, demo_sentence, demo_table
 from torchreg.report.figures import demo_figure, registration_figure
-from torchreg.report.tables import cloud_table, matrix_text, registration_table, summary_table
+from torchreg.report.tables import cloud_table, matrix_text, registration_table, summary_table, verification_table
 
 __all__ = [
     "FIGURE_SUFFIXES",
@@ -22,4 +22,5 @@ __all__ = [
     "registration_table",
     "save_figure",
     "summary_table",
+    "verification_table",
 ]

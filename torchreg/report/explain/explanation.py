@@ -11,7 +11,8 @@ from torchreg.report.text import chance, columns, decimal, line, meters, odds, p
 from torchreg.types import Candidate, RegistrationResult, StageCounts
 
 _SHOWN = 6
-_HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
+HEADINGS = ("origin", "support", "by chance", "overlap", "normals", "colors", "conflict", "log-odds", "probability")
+"""Above the cells of a candidate."""
 
 
 def explanation(result: RegistrationResult, pair: int) -> str:
@@ -32,7 +33,7 @@ def explanation(result: RegistrationResult, pair: int) -> str:
         ValueError: ``pair`` is not one of the result's.
     """
     facts = facts_of(result, pair)
-    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), _verdict(facts)]
+    lines = [*stage_lines(facts), *_candidates(facts), *_pose(facts), _verdict(facts)]
     return "\n".join(lines + [line("May help" if place == 0 else "", text) for place, text in enumerate(advice(facts))])
 
 
@@ -56,7 +57,7 @@ def meaning_of_strength(strength: float) -> str:
     return "the surfaces hold the pose in every direction"
 
 
-def _stages(facts: Facts) -> Iterator[str]:
+def stage_lines(facts: Facts) -> Iterator[str]:
     """Points, features, every set of features with its solver, and notes."""
     if facts.stages is not None:
         yield from _points(facts.stages, facts)
@@ -102,11 +103,12 @@ def _candidates(facts: Facts) -> Iterator[str]:
     rest = len(facts.candidates) - _SHOWN
     extent = f"the best {_SHOWN} of {len(facts.candidates)}" if rest > 0 else "all of them"
     yield line("Candidates", f"best first; {extent}")
-    rows = [_HEADINGS, *(_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
+    rows = [HEADINGS, *(candidate_cells(candidate) for candidate in facts.candidates[:_SHOWN])]
     yield from (f"  {row}" for row in columns(rows))
 
 
-def _cells(candidate: Candidate) -> tuple[str, ...]:
+def candidate_cells(candidate: Candidate) -> tuple[str, ...]:
+    """The figures of one candidate, under ``HEADINGS``."""
     return (
         candidate.origin,
         f"{candidate.support:,} of {candidate.matches:,}" if candidate.matches else "-",
