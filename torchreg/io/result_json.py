@@ -81,7 +81,7 @@ def result_to_dict(
         "translation": T[:3, 3].tolist(),
         "fitness": float(result.fitness[pair]),
         "inlier_rmse": float(result.inlier_rmse[pair]),
-        **{name: _value(getattr(result, name), pair) for name in _VERIFIED},
+        **{name: number_or_matrix(getattr(result, name), pair) for name in _VERIFIED},
         "candidates": result.candidates[pair] if result.candidates else (),
         "stages": stages,
         "counts": {"correspondences": end - begin, "inliers": int(result.inliers[begin:end].sum()), **counts},
@@ -150,7 +150,7 @@ def versions() -> dict[str, str | None]:
     }
 
 
-def _value(values: Tensor | None, pair: int) -> object:
+def number_or_matrix(values: Tensor | None, pair: int) -> object:
     """The pair's number or matrix; ``None`` where it was not computed, or is a matrix that is not finite."""
     if values is None:
         return None
