@@ -106,3 +106,27 @@ def failed_result(kind: str, text: str = "", **changes: Any) -> tr.RegistrationR
 def number(value: float) -> Tensor:
     """(1,) float64."""
     return torch.tensor([value], dtype=torch.float64)
+
+
+def verification(**changes: Any) -> tr.Verification:
+    """The verdict on one given transform 0.1 m from the pose that wins; right unless changed."""
+    search = verified_result()
+    given = candidate(origin="given", T_target_source=turned(10, translation=(0.1, 0.0, 0.0)), overlap=0.47)
+    fields: dict[str, Any] = {
+        "T_target_source": given.T_target_source[None],
+        "success": torch.tensor([True]),
+        "failure": (None,),
+        "probability": number(0.998),
+        "settled": search.T_target_source,
+        "deviation_meters": number(0.1),
+        "deviation_degrees": number(0.25),
+        "likeliest": search.T_target_source,
+        "fitness": number(0.55),
+        "inlier_rmse": number(0.02),
+        "overlap": number(0.47),
+        "candidate": (given,),
+        "settled_candidate": search.candidates[0][:1],
+        "rival": (candidate(origin="slide", T_target_source=turned(100), probability=0.001),),
+        "search": search,
+    }
+    return tr.Verification(**(fields | changes))

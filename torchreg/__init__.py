@@ -45,6 +45,7 @@ from torchreg.registration import LEARNED, PAPER, derive_options, options_for
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.registration.spacing import spacing
+from torchreg.registration.verify import verify
 from torchreg.solvers import CompatibilityOptions, RansacOptions, Solver
 from torchreg.solvers.compatibility import compatibility
 from torchreg.solvers.ransac import ransac
@@ -57,6 +58,7 @@ from torchreg.types import (
     Neighborhoods,
     RegistrationResult,
     SoftCorrespondences,
+    Verification,
 )
 from torchreg.version import __version__
 
@@ -84,6 +86,7 @@ __all__ = [
     "RegistrationResult",
     "SoftCorrespondences",
     "Solver",
+    "Verification",
     "__version__",
     "augment",
     "batch",
@@ -118,6 +121,7 @@ __all__ = [
     "synthetic",
     "to_open3d",
     "transform",
+    "verify",
     "voxel_downsample",
     "write_cloud",
 ]
@@ -132,7 +136,15 @@ def _explain(result: RegistrationResult, pair: int) -> str:
     return explanation(result, pair)
 
 
+def _explain_verification(verification: Verification, pair: int) -> str:
+    """The text of ``Verification.explain``, likewise."""
+    from torchreg.report.explain.given import explanation_of_given
+
+    return explanation_of_given(verification, pair)
+
+
 RegistrationResult.explainer = _explain
+Verification.explainer = _explain_verification
 
 
 def __dir__() -> list[str]:

@@ -63,7 +63,7 @@ GOOD = block(0, 1, 3, TURN)
         (GOOD.replace("\n0.0", "\nx", 1), ", line 2: expected 4 numbers, got 'x"),
         ("0 1 3\n1 0 0 0\n0 1 0 0\n0 0 1\n0 0 0 1\n", ", line 4: expected 4 numbers, got '0 0 1'"),
         (block(0, 1, 3, 2 * np.eye(4)), ", line 1: expected a rigid transform, got the matrix: expected a last row"),
-        (block(0, 1, 3, np.diag([1, 1, -1, 1])), "a rotation of determinant 1"),
+        (block(0, 1, 3, np.diag([1, 1, -1, 1])), "a reflection"),
         (block(0, 1, 3, np.full((4, 4), np.nan)), "finite numbers"),
         (GOOD + GOOD, ", line 6: expected a pair not listed before, got 0 1 as in line 1"),
         (block(1, 1, 2, TURN), ", line 1: expected two different fragments i j n, got 1 1 2, as a trajectory"),

@@ -46,7 +46,7 @@ def test_json_and_comments(tmp_path):
         ("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 a\n", "could not convert"),
         ("1 0 0 nan\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "finite numbers"),
         ("2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n", "a rotation"),
-        ("-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "determinant 1, got -1"),
+        ("-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "determinant 1, got 'a reflection, R R^T off by 0, determinant -1'"),
         ("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 1 1\n", "a last row 0 0 0 1"),
         ("{", "valid JSON"),
         ("{}", "the key 'T_target_source', got 'none'"),

@@ -14,6 +14,7 @@ from torchreg.cli.demo import demo
 from torchreg.cli.guard import GuardedGroup
 from torchreg.cli.info import info
 from torchreg.cli.register import register
+from torchreg.cli.verify import verify
 from torchreg.version import __version__
 
 app = typer.Typer(
@@ -24,6 +25,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 app.command()(register)
+app.command()(verify)
 app.command()(batch)
 app.command()(check)
 app.command()(info)
@@ -46,6 +48,6 @@ def torchreg(
 ) -> None:
     """Register colored point clouds without a first guess: geometric and color features, mutual matches, robust poses.
 
-    Exit codes: 0 a successful registration, 2 bad usage or an unreadable file, 3 a registration that failed; for
-    those of batch see its help.
+    Exit codes: 0 a successful registration or a right transform, 2 bad usage or an unreadable file, 3 a registration
+    that failed or a transform that is not right; for those of batch see its help.
     """

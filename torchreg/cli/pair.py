@@ -26,11 +26,17 @@ _CLOUD = f"a {alternatives(CLOUD_SUFFIXES)} file, coordinates in meters."
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairArguments:
-    """The files of a command on two clouds."""
+class CloudArguments:
+    """The files of two clouds."""
 
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help=f"The cloud that is moved: {_CLOUD}")]
     target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"The cloud that stays: {_CLOUD}")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairArguments(CloudArguments):
+    """The files of a command that registers two clouds."""
+
     truth: Annotated[
         Path | None,
         typer.Option(
@@ -89,7 +95,7 @@ class ReadPair:
         return {name: {"in_file": file.points_in_file, "used": len(used.points)} for name, file, used in numbers}
 
 
-def read_pair(paths: PairArguments, settings: StageSettings) -> ReadPair:
+def read_pair(paths: CloudArguments, settings: StageSettings) -> ReadPair:
     """Read both files, and choose some points of each at random where that is asked for.
 
     Raises:

@@ -9,6 +9,7 @@ from torchreg.io.reading import Reading
 from torchreg.io.result_json import result_to_dict, write_result_json
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
 from torchreg.io.transform_text import read_transform_text, write_transform_text
+from torchreg.io.verification_json import verification_to_dict
 
 __all__ = [
     "CLOUD_SUFFIXES",
@@ -24,6 +25,7 @@ __all__ = [
     "read_transform_text",
     "result_to_dict",
     "to_open3d",
+    "verification_to_dict",
     "write_cloud",
     "write_result_json",
     "write_transform_text",

@@ -53,9 +53,9 @@ def result_to_dict(
         - ``fitness``, ``inlier_rmse`` (meters), ``probability``, ``overlap``, ``strength``: numbers;
         - ``information``: 6 x 6, rotations before translations, or ``None``;
         - ``runner_up``: 4 x 4, or ``None`` where there is none; ``margin``: log-odds, ``None`` where infinite;
-        - ``residual_median``, ``residual_rms``, ``residual_95``: meters; ``covariance``: 6 x 6, rotations (radians) about
-          ``center`` (x, y, z in the target's frame) before translations (meters); ``axis_strength``: 6 numbers, in the
-          same order; ``None`` where the pose was not refined;
+        - ``residual_median``, ``residual_rms``, ``residual_95``: meters; ``covariance``: 6 x 6, rotations (radians)
+          about ``center`` (x, y, z in the target's frame) before translations (meters); ``axis_strength``: 6 numbers,
+          in the same order; ``None`` where the pose was not refined;
         - ``candidates``: a list, best first, of origin, T_target_source (4 x 4), support, matches, surprise, overlap,
           closeness, normals, colors, conflict, log_odds, probability, as ``Candidate`` describes them;
         - ``stages``: given, points and described (source and target each), and proposals, a list of origin, matches,
@@ -87,7 +87,7 @@ def result_to_dict(
         "likeliest_T_target_source": None if success else T,
         "fitness": float(result.fitness[pair]),
         "inlier_rmse": float(result.inlier_rmse[pair]),
-        **{name: _value(getattr(result, name), pair) for name in (*_VERIFIED, *_REFINED)},
+        **{name: number_or_matrix(getattr(result, name), pair) for name in (*_VERIFIED, *_REFINED)},
         "candidates": result.candidates[pair] if result.candidates else (),
         "stages": stages,
         "counts": {"correspondences": end - begin, "inliers": int(result.inliers[begin:end].sum()), **counts},
@@ -164,7 +164,7 @@ def _pose(T: Tensor | None) -> dict[str, object]:
     return {"T_target_source": T, "quaternion": dict(zip("wxyz", quaternion, strict=True)), "translation": T[:3, 3]}
 
 
-def _value(values: Tensor | None, pair: int) -> object:
+def number_or_matrix(values: Tensor | None, pair: int) -> object:
     """The pair's number or matrix; ``None`` where it was not computed, or is a matrix that is not finite."""
     if values is None:
         return None

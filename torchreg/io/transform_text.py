@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from torchreg.errors import CloudFileError, expect, one_of
+from torchreg.geometry.rigid_check import expect_rigid
 from torchreg.io.atomic import write_text
 from torchreg.io.checks import excerpt, readable_file, refuse, require
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
 
 _KEY = "T_target_source"
-_TOLERANCE = 1e-4  # of R R^T - 1 and of the last row
 _LARGEST_FILE = 1 << 24  # bytes
 
 
@@ -76,14 +76,7 @@ def checked_rigid(T: Tensor | ArrayLike, name: str) -> NDArray[Any]:
     except (TypeError, ValueError):
         matrix = np.zeros(0)
     expect(matrix.shape == (4, 4), name, "(4, 4) numbers", matrix.shape)
-    expect(bool(np.isfinite(matrix).all()), name, "finite numbers", matrix.tolist())
-    affine = bool((np.abs(matrix[3] - [0, 0, 0, 1]) <= _TOLERANCE).all())
-    expect(affine, name, "a last row 0 0 0 1", matrix[3].tolist())
-    rotation = matrix[:3, :3]
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    expect(off <= _TOLERANCE, name, f"a rotation: R R^T within {_TOLERANCE:g} of the identity", round(off, 6))
-    determinant = float(np.linalg.det(rotation))
-    expect(determinant > 0, name, "a rotation of determinant 1", round(determinant, 6))
+    expect_rigid(torch.from_numpy(matrix), name)
     return matrix
 
 

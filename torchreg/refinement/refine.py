@@ -79,6 +79,17 @@ def refine_on_surfels(
     return Refined(torch.stack(fields[0]), fields[1], *(torch.stack(field) for field in fields[2:]))
 
 
+def residuals_under(source: Surfels, target: Surfels, T_target_source: Tensor, skipped: Sequence[bool]) -> Tensor:
+    """Residuals (B, 3) as ``Refined`` has them, meters, under transforms (B, 4, 4) as they are; NaN for pairs skipped."""
+    out = T_target_source.new_full((len(source), 3), torch.nan)
+    for b, (one, other) in enumerate(zip(source.unpack(), target.unpack(), strict=True)):
+        if not skipped[b] and min(len(one.cloud.points), len(other.cloud.points)) > 0:
+            pairs = SurfelPairs(one, other, Pairing([0], [0]))
+            seen = pairs.seen(*enter(pairs.frames, T_target_source[b : b + 1]))
+            out[b] = certainty(seen, 0, float(pairs.spacing[0])).residuals
+    return out
+
+
 class _One(NamedTuple):
     """As ``Refined``, of one pair."""
 

@@ -28,8 +28,8 @@ from torchreg.verification import (
     proposals_of,
 )
 from torchreg.verification.impostors import IMPOSTORS
+from torchreg.verification.judge import judge_poses
 from torchreg.verification.verdicts import JudgedPair
-from torchreg.verification.verify import verify
 
 
 class SecondLook(NamedTuple):
@@ -42,7 +42,7 @@ class SecondLook(NamedTuple):
 def compared(
     source: DescribedClouds, target: DescribedClouds, options: Sequence[RegistrationOptions]
 ) -> tuple[list[PairLengths], list[OverlapFeatures]]:
-    """What ``verify`` compares the two clouds of every pair by: lengths, and features of their points."""
+    """What ``judge_poses`` compares the two clouds of every pair by: lengths, and features of their points."""
     lengths = [
         PairLengths(option.inlier_threshold, max(spacings))
         for option, *spacings in zip(options, source.spacing, target.spacing, strict=True)
@@ -80,7 +80,7 @@ def look_again(
         seen = second_look(sources[b], targets[b], options[b], seed, before)
         both = [part.of_pair(b, source.cloud, target.cloud) for part in proposed] + seen
         one, other = sources[b], targets[b]
-        judged_again = verify(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)
+        judged_again = judge_poses(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)
         return SecondLook(judged_again[0], proposals_of(seen, 0))
 
     workers = torch.get_num_threads() if source.cloud.device.type == "cpu" else 1

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.neighborhoods.coverage import Coverage, coverage
-from torchreg.refinement.refine import Refined, refine_on_surfels
+from torchreg.refinement.refine import Refined, refine_on_surfels, residuals_under
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
@@ -69,6 +69,15 @@ def refined(
         **_figures(done, torch.tensor(kept, device=fitness.device), result.T_target_source),
     )
     return changed, tuple((f"the pose is not refined: {reason}",) if reason else () for reason in reasons)
+
+
+def given_residuals(
+    source: DescribedClouds, target: DescribedClouds, T: Tensor | None, refused: Sequence[object]
+) -> Tensor:
+    """Residuals (B, 3), meters, under given transforms (B, 4, 4); NaN without transforms or surfels."""
+    if T is None or source.surfels is None or target.surfels is None:
+        return torch.full((len(source), 3), torch.nan, dtype=torch.float64, device=source.cloud.device)
+    return residuals_under(source.surfels, target.surfels, T, [bool(each) for each in refused])
 
 
 def _figures(done: Refined, kept: Tensor, before: Tensor) -> dict[str, Any]:

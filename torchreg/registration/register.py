@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.matching.mutual import match_mutual
@@ -23,15 +25,16 @@ from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
 from torchreg.registration.recipes import Recipe, fused, recipes_of
-from torchreg.registration.refined import refined
+from torchreg.registration.refined import given_residuals, refined
 from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
 from torchreg.verification import WORK, ProposedPoses, proposals_of
+from torchreg.verification.given import GivenVerdict, given_poses
+from torchreg.verification.judge import judge_poses
 from torchreg.verification.verdicts import JudgedPair, collect
-from torchreg.verification.verify import verify
 
 
 def register(
@@ -89,7 +92,7 @@ def register(
         results = []
         for pairs in plan.slices:
             described = plan.sides(pairs, describe_thin)
-            results.append(_find_poses(*described, plan.options[pairs], colored=plan.colored, seed=seed))
+            results.append(find_poses(*described, plan.options[pairs], colored=plan.colored, seed=seed).result)
     return joined(results, seconds=seconds)
 
 
@@ -122,19 +125,32 @@ def register_described(
             needed = description_of(option, colored=colored)
             expect(described == needed, name, f"descriptions by {needed}", described)
     with stopwatch() as seconds:
-        result = _find_poses(source, target, options, colored=colored, seed=seed)
+        result = find_poses(source, target, options, colored=colored, seed=seed).result
     return joined([result], seconds=seconds)
 
 
-def _find_poses(
+class Found(NamedTuple):
+    """The poses of the pairs of one slice."""
+
+    result: RegistrationResult
+    given: tuple[GivenVerdict | None, ...]  # on the given pose of every pair; ``None`` where none was judged
+    residuals: Tensor  # (B, 3) float64, meters, under the given poses, as ``residuals_under`` has them; NaN elsewhere
+
+
+def find_poses(
     source: DescribedClouds,
     target: DescribedClouds,
     options: Sequence[RegistrationOptions],
     *,
     colored: bool,
     seed: int,
-) -> RegistrationResult:
-    """Match, solve and decide, for the pairs of one slice."""
+    T_given: Tensor | None = None,
+) -> Found:
+    """Match, solve and decide, for the pairs of one slice.
+
+    ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
+    then gets a verdict of its own.
+    """
     expect(isinstance(seed, int), "seed", "an integer", seed)
     facts = list(zip(source.facts, target.facts, strict=True))
     refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
@@ -148,20 +164,22 @@ def _find_poses(
         proposed.append(_solve(source, target, matches, recipe, options, drawn))
         if len(proposed) == 1 and effort in ("balanced", "thorough"):
             proposed.append(_find_rivals(source, target, features, proposed[0], options, drawn))
+    competing = proposed if T_given is None else [*proposed, given_poses(source.cloud, target.cloud, T_given, refused)]
+    given: tuple[GivenVerdict | None, ...] = (None,) * len(source)
     if effort == "plain":
         result = _take_best(source, target, proposed[0], options)
         again = {}
     else:
-        judged = _decide(source, target, proposed, options)
-        again = look_again(source, target, proposed, judged, options, drawn)
+        judged = _decide(source, target, competing, options)
+        again = look_again(source, target, competing, judged, options, drawn)
         last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
-        result = collect(source.cloud, target.cloud, last)
+        result, given = collect(source.cloud, target.cloud, last), tuple(pair.verdict.given for pair in last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
     stages = _stage_counts(source, target, proposals)
     result = replace(result, failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)))
     result, remarks = refined(source, target, result, options)
     few = [few_points_notes(counts.points, option) for counts, option in zip(stages, options, strict=True)]
-    return replace(
+    result = replace(
         result,
         options=tuple(options),
         notes=tuple(
@@ -170,6 +188,7 @@ def _find_poses(
         ),
         stages=stages,
     )
+    return Found(result, given, given_residuals(source, target, T_given, refused))
 
 
 @stage("matching")
@@ -215,7 +234,7 @@ def _decide(
 ) -> list[JudgedPair]:
     """Choose among the poses of every pair on the clouds, and judge the choice."""
     work = WORK[options[0].effort]
-    return verify(source.cloud, target.cloud, proposed, *compared(source, target, options), work)
+    return judge_poses(source.cloud, target.cloud, proposed, *compared(source, target, options), work)
 
 
 @stage("decision")

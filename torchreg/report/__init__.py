@@ -8,7 +8,7 @@ from torchreg.report.correspondences import correspondence_figure
 from torchreg.report.demo import DemoRow, demo_sentence, demo_table
 from torchreg.report.figures import demo_figure, registration_figure
 from torchreg.report.page.report import REPORT_SUFFIXES, report_html, write_report
-from torchreg.report.tables import cloud_table, matrix_text, registration_table, summary_table
+from torchreg.report.tables import cloud_table, matrix_text, registration_table, summary_table, verification_table
 from torchreg.report.titles import picture_title
 
 __all__ = [
@@ -27,5 +27,6 @@ __all__ = [
     "report_html",
     "save_figure",
     "summary_table",
+    "verification_table",
     "write_report",
 ]

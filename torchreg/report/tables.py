@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+import torch
 from rich.table import Table
 from rich.text import Text
 from torch import Tensor
@@ -16,12 +17,14 @@ from torchreg.report.explain.explanation import (
     axis_strength_text,
     deviations_text,
     meaning_of_strength,
+    residuals_line,
     residuals_text,
     runner_up_text,
 )
 from torchreg.report.explain.facts import Facts, facts_of
+from torchreg.report.explain.given import deviation_text, rival_text
 from torchreg.report.text import chance, counted, meters, plain, share
-from torchreg.types import RegistrationResult
+from torchreg.types import RegistrationResult, Verification
 
 
 def registration_table(
@@ -48,11 +51,7 @@ def registration_table(
     if facts.options is not None:
         _add(table, _options_rows(facts.options, colored=facts.colored))
     _add(table, _registration_rows(facts))
-    if result.seconds:
-        total = sum(seconds for _, seconds in result.seconds)
-        stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds)
-        table.add_row("time", f"{total:.2f} s: {stages}")
-    _add(table, (("note", note) for note in (*file_notes, *facts.notes)))
+    _add(table, _time_and_notes(result, (*file_notes, *facts.notes)))
     if truth is not None:
         rre, rte, rmse = truth
         pose = "" if facts.success else "the likeliest pose, which was refused: "
@@ -62,6 +61,42 @@ def registration_table(
         table.add_row("verdict", Text("registered", style="bold green"))
     else:
         table.add_row("verdict", Text("not registered: ", style="bold red") + plain(result.reason[pair]))
+    return table
+
+
+def verification_table(
+    result: Verification,
+    pair: int = 0,
+    *,
+    source: str,
+    target: str,
+    given: str,
+    file_notes: Iterable[str] = (),
+) -> Table:
+    """The verdict on one given transform: its fit, where it settles, its rival, certainty, and a better one if any.
+
+    Args:
+        result: of B pairs.
+        pair: which one.
+        source: text that names the source cloud, such as its file and size.
+        target: likewise.
+        given: text that names the transform, such as its file.
+        file_notes: what reading the clouds showed.
+    """
+    facts = facts_of(result.search, pair)
+    table = _table((("source", source), ("target", target), ("transform", given)))
+    if facts.options is not None:
+        _add(table, _options_rows(facts.options, colored=facts.colored))
+    if result.candidate[pair] is not None:
+        _add(table, _verification_rows(result, pair))
+    _add(table, _time_and_notes(result.search, (*file_notes, *facts.notes)))
+    if not result.success[pair] and facts.success:
+        table.add_row("better", Text(matrix_text(result.likeliest[pair]), no_wrap=True))
+    if result.success[pair]:
+        table.add_row("settled", Text(matrix_text(result.settled[pair]), no_wrap=True))
+        table.add_row("verdict", Text("right", style="bold green"))
+    else:
+        table.add_row("verdict", Text("not right: ", style="bold red") + plain(result.reason[pair]))
     return table
 
 
@@ -164,6 +199,31 @@ def _registration_rows(facts: Facts) -> Iterator[tuple[str, str]]:
         yield "runner-up", runner_up_text(facts)
     if facts.probability is not None:
         yield "probability", f"{chance(facts.probability)} that the pose is right"
+
+
+def _verification_rows(result: Verification, pair: int) -> Iterator[tuple[str, str]]:
+    """Fit and overlap at the given transform, then where it settles and what rivals it."""
+    yield "fitness", f"{float(result.fitness[pair]):.4f} of the source points near the target"
+    yield "inlier_rmse", meters(float(result.inlier_rmse[pair]))
+    yield "overlap", f"{float(result.overlap[pair]):.4f} of the points have a partner"
+    if bool(torch.isfinite(result.residual_95[pair])):
+        yield "residuals", residuals_line(*(float(value[pair]) for value in _residuals_of(result)))
+    yield "settles", deviation_text(result, pair)
+    yield "rival", rival_text(result, pair)
+    yield "probability", f"{chance(float(result.probability[pair]))} that the transform is right"
+
+
+def _residuals_of(result: Verification) -> tuple[Tensor, Tensor, Tensor]:
+    return result.residual_median, result.residual_rms, result.residual_95
+
+
+def _time_and_notes(result: RegistrationResult, notes: Iterable[str]) -> Iterator[tuple[str, str]]:
+    if result.seconds:
+        total = sum(seconds for _, seconds in result.seconds)
+        stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds)
+        yield "time", f"{total:.2f} s: {stages}"
+    for note in notes:
+        yield "note", note
 
 
 def _summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ from torchreg.types.failure import Failure
 from torchreg.types.features import Features
 from torchreg.types.neighborhoods import Neighborhoods
 from torchreg.types.result import HypothesisCounts, RegistrationResult
+from torchreg.types.verification import Verification
 
 __all__ = [
     "Candidate",
@@ -20,4 +21,5 @@ __all__ = [
     "RegistrationResult",
     "SoftCorrespondences",
     "StageCounts",
+    "Verification",
 ]

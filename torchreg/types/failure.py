@@ -30,13 +30,16 @@ KINDS = (
 )
 """The kinds of failure, in the order of the stages that detect them."""
 
+KINDS_OF_GIVEN = ("displaced", "another pose is better")
+"""The further kinds that only a given transform has."""
+
 
 @dataclass(frozen=True)
 class Failure:
     """Why one pair did not succeed.
 
     Attributes:
-        kind: one of ``KINDS``, for programs to act on.
+        kind: one of ``KINDS``, or of ``KINDS_OF_GIVEN``, for programs to act on.
         text: for people, the kind and the figures in one sentence.
         figures: the numbers that decided it by name, such as ``{"matches": 2, "needed": 3}``; lengths in meters.
 
@@ -49,7 +52,7 @@ class Failure:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        one_of(self.kind, "kind", KINDS)
+        one_of(self.kind, "kind", KINDS + KINDS_OF_GIVEN)
 
     def __str__(self) -> str:
         return self.text

@@ -92,12 +92,21 @@ class Candidates(NamedTuple):
         return self.take(order[self.poses.pair[order].sort(stable=True).indices])
 
 
+class GivenPoses(NamedTuple):
+    """The given pose of each of G pairs."""
+
+    as_given: Candidates  # (G,), not refined
+    refined: Candidates  # (G,), each after ICP, or as it was where that lowers its odds
+    within_reach: list[int]  # of every pair, the row of its best candidate that the refined pose repeats
+
+
 class Choice(NamedTuple):
     """The candidates of G pairs and how firmly the surfaces hold the best of each."""
 
     candidates: Candidates  # of all pairs, distinct, those of each pair best first; at least one each
     information: Tensor  # (G, 6, 6) float64 of the best poses, Open3D's convention, in the frames of the targets' files
     motion: WeakestMotion  # the weakest motions under the best poses
+    given: GivenPoses | None  # where poses were given
 
 
 class PointMoments(NamedTuple):

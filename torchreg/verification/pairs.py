@@ -18,6 +18,9 @@ from torchreg.verification.candidates import Poses, joined
 from torchreg.verification.reasons import ACCEPTED
 from torchreg.verification.scans import Scans, prepared_scans
 
+GIVEN = "given"
+"""The origin of poses that the caller gave: one per pair, which gets a verdict of its own (``GivenVerdict``)."""
+
 _ELEMENTS = 1 << 20
 """Work of a group at most: 30 to 60 pairs of 1,000 points. More gain nothing, and results do not depend on it."""
 
@@ -193,10 +196,17 @@ def initial_poses(pairs: Sequence[CenteredPair]) -> Poses:
     return joined([pair.poses._replace(pair=torch.full_like(pair.poses.pair, g)) for g, pair in enumerate(pairs)])
 
 
+def middle(cloud: Clouds) -> Tensor:
+    """The middle (3,) float64 of the bounding box of one cloud, meters; zero without points."""
+    if len(cloud.points) == 0:
+        return torch.zeros(3, dtype=torch.float64, device=cloud.device)
+    wide = cloud.points.double()
+    return (wide.amin(dim=0) + wide.amax(dim=0)) / 2
+
+
 def _centered(cloud: Clouds) -> tuple[Clouds, Tensor]:
     """One cloud in float32 about its middle (3,) float64, which becomes part of the origin: so no digits are lost."""
-    wide = cloud.points.double()
-    center = (wide.amin(dim=0) + wide.amax(dim=0)) / 2
+    wide, center = cloud.points.double(), middle(cloud)
     moved = Clouds(
         points=(wide - center).float(),
         colors=None if cloud.colors is None else cloud.colors.float(),

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchreg.geometry.se3 import inverse
+from torchreg.metrics.pose import rre
 from torchreg.solvers.poses import pose_vectors
 from torchreg.types import Failure
-from torchreg.verification.candidates import Candidates
+from torchreg.verification.candidates import Candidates, Poses
 from torchreg.verification.model import TERMS, Evidence, term_values
 
 ACCEPTED = 0.6
@@ -41,6 +42,13 @@ _LACKING = {
     "surprise": ("no consensus", "no consensus: {support} matches agree, in few places"),
 }
 """By the term of the log-odds that a pose lacks most: the failure's kind and its sentence, over the figures."""
+
+
+class Displacement(NamedTuple):
+    """How far apart two poses put the points of the source."""
+
+    meters: float  # root mean square over the points
+    degrees: float  # angle of the turn between the poses
 
 
 def accepted(probability: float, odds: Tensor, margin: float, least: float = ACCEPTED) -> bool:
@@ -75,7 +83,7 @@ def failure_of(
     needed = f"probability {stated:.2f} of being right, {least:g} is needed"
     rival = ""
     if len(probabilities) > 1:
-        meters, degrees = _displacement(candidates, points)
+        meters, degrees = displacement(candidates.poses, points)
         rival = f"{meters:.3g} m and {degrees:.3g} degrees away"
         margin = float(odds[0] - odds[1])
         figures |= {"margin": margin, "rival_meters": meters, "rival_degrees": degrees}
@@ -105,11 +113,8 @@ def _most_lacking(candidates: Candidates) -> str:
     return max(lack, key=lambda name: lack[name])
 
 
-def _displacement(candidates: Candidates, points: Tensor) -> tuple[float, float]:
-    """Meters (root mean square over the points) and degrees from the first candidate to the second."""
-    poses = candidates.poses.take(slice(2))
-    T = poses.matrices()
-    R = (inverse(T[:1]) @ T[1:2])[0, :3, :3]
-    cosine = float(((torch.diagonal(R).sum() - 1) / 2).clamp(-1, 1))
-    vectors = pose_vectors(poses.rotation.permute(1, 2, 0), poses.translation.t(), points.double().t())
-    return float((vectors[:, 1] - vectors[:, 0]).square().sum().sqrt()), math.degrees(math.acos(cosine))
+def displacement(poses: Poses, points: Tensor) -> Displacement:
+    """From the first of some poses to the second, over the points (P, 3) of the source."""
+    two = poses.take(slice(2))
+    vectors = pose_vectors(two.rotation.permute(1, 2, 0), two.translation.t(), points.double().t())
+    return Displacement(float((vectors[:, 1] - vectors[:, 0]).square().sum().sqrt()), float(rre(*two.matrices())))

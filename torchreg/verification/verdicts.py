@@ -15,7 +15,8 @@ from torchreg.solvers import PairPoses, hypothesis_counts
 from torchreg.types import Candidate, Clouds, Correspondences, Failure, RegistrationResult
 from torchreg.types.packing import offsets_of
 from torchreg.verification.agreement import MatchEndpoints
-from torchreg.verification.candidates import SLIDE, TURN, Candidates, Choice, Poses, runs_of
+from torchreg.verification.candidates import SLIDE, TURN, Candidates, Choice, Poses, joined, runs_of
+from torchreg.verification.given import GivenVerdict, given_verdict
 from torchreg.verification.impostors import impostor
 from torchreg.verification.model import probabilities
 from torchreg.verification.pairs import CenteredPair, ProposedPoses
@@ -41,6 +42,7 @@ class Verdict(NamedTuple):
     runner_up: Tensor
     margin: float
     candidates: tuple[Candidate, ...]
+    given: GivenVerdict | None = None  # on the given pose, where there is one
 
 
 class JudgedPair(NamedTuple):
@@ -61,7 +63,7 @@ def verdicts(pairs: Sequence[CenteredPair], choice: Choice, names: Sequence[str]
     matches = [[len(part.source) for part in pair.matches] for pair in pairs]
     described = _described(weighed, T, chances, names, matches)
     strength = choice.motion.strength.tolist()
-    return [
+    judged = [
         _verdict(
             pair,
             weighed.take(slice(begin, end)),
@@ -71,6 +73,26 @@ def verdicts(pairs: Sequence[CenteredPair], choice: Choice, names: Sequence[str]
             least,
         )
         for pair, (number, begin, end) in zip(pairs, runs, strict=True)
+    ]
+    if choice.given is None:
+        return judged
+    given = choice.given
+    both = joined([given.as_given, given.refined])
+    exact = _described(both, _with_origins(both.poses, pairs), torch.zeros_like(both.odds), names, matches)
+    return [
+        verdict._replace(
+            given=given_verdict(
+                pair,
+                weighed.take(slice(begin, end)),
+                verdict.candidates,
+                verdict.failure,
+                both.take(slice(number, None, len(pairs))),
+                exact[number :: len(pairs)],
+                given.within_reach[number],
+                least,
+            )
+        )
+        for pair, verdict, (number, begin, end) in zip(pairs, judged, runs, strict=True)
     ]
 
 

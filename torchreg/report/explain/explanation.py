@@ -43,7 +43,7 @@ def explanation(result: RegistrationResult, pair: int) -> str:
         ValueError: ``pair`` is not one of the result's.
     """
     facts = facts_of(result, pair)
-    lines = [*_stages(facts), *_candidates(facts), *_pose(facts), line("Verdict", verdict_text(facts))]
+    lines = [*stage_lines(facts), *_candidates(facts), *_pose(facts), line("Verdict", verdict_text(facts))]
     return "\n".join(lines + [line("May help" if place == 0 else "", text) for place, text in enumerate(advice(facts))])
 
 
@@ -62,7 +62,11 @@ def residuals_text(facts: Facts) -> str:
     """How far the surfaces of the overlap lie apart; empty where it was not measured."""
     if facts.residuals is None:
         return ""
-    median, rms, most = facts.residuals
+    return residuals_line(*facts.residuals)
+
+
+def residuals_line(median: float, rms: float, most: float) -> str:
+    """Residuals of surfaces, meters, in words."""
     between = f"median {millimeters(median)}, RMS {millimeters(rms)}, 95 % below {millimeters(most)}"
     return f"{between}, between the surfaces of the overlap"
 
@@ -102,7 +106,7 @@ def meaning_of_strength(strength: float) -> str:
     return "held about as firmly in every direction"
 
 
-def _stages(facts: Facts) -> Iterator[str]:
+def stage_lines(facts: Facts) -> Iterator[str]:
     """Points, features, every set of features with its solver, and notes."""
     if facts.stages is not None:
         yield from _points(facts.stages, facts)

@@ -22,6 +22,7 @@ from torchreg.verification.agreement import agreement
 from torchreg.verification.candidates import (
     Candidates,
     Choice,
+    GivenPoses,
     Poses,
     distinct,
     frames,
@@ -35,6 +36,7 @@ from torchreg.verification.evidence import Overlap, evidence, overlap
 from torchreg.verification.information import WeakestMotion, information_matrices, weakest_motions
 from torchreg.verification.model import log_odds
 from torchreg.verification.pairs import (
+    GIVEN,
     OverlapFeatures,
     PairLengths,
     PreparedPairs,
@@ -55,7 +57,7 @@ _PROBE_GAP = 3.5  # log-odds below the best at which a probe is not worth refini
 _ICP_POINTS = 600  # of each source
 
 
-def verify(
+def judge_poses(
     source: Clouds,
     target: Clouds,
     proposed: Sequence[ProposedPoses],
@@ -68,7 +70,8 @@ def verify(
     Args:
         source: B clouds with normals.
         target: B clouds with normals.
-        proposed: at least one.
+        proposed: at least one. That with the origin ``GIVEN``, if any, has one pose of every pair that has poses;
+            it competes like the others, and the verdict on a pair then has one on this pose too.
         lengths: one per pair.
         features: one per pair.
         work: spent per pair.
@@ -78,6 +81,7 @@ def verify(
     """
     source, target = source.detach(), target.detach()
     sources, targets, names = source.unpack(), target.unpack(), [part.origin for part in proposed]
+    given = names.index(GIVEN) if GIVEN in names else None
     # one row per pair, with a column per proposal
     matches = list(zip(*(match_endpoints(source, target, part) for part in proposed), strict=True))
     poses = list(zip(*(part.poses for part in proposed), strict=True))
@@ -87,7 +91,7 @@ def verify(
             centered_pair(sources[b], targets[b], matches[b], poses[b], lengths[b], features[b], work.poses)
             for b in members
         ]
-        choice = choose(prepared_pairs(pairs, work.sample), initial_poses(pairs), work)
+        choice = choose(prepared_pairs(pairs, work.sample), initial_poses(pairs), work, given)
         return verdicts(pairs, choice, names, work.accepted)
 
     workers = torch.get_num_threads() if source.device.type == "cpu" else 1
@@ -101,10 +105,11 @@ def verify(
     return [judged_pair(verdict, proposed[verdict.proposal], source, target, b) for b, verdict in enumerate(every)]
 
 
-def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
+def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair, given: int | None = None) -> Choice:
     """Choose among the poses of every pair.
 
     ``poses``, at least one of every pair, come pair by pair, in order of their proposals, best first within each.
+    ``given`` is the number of the proposal that has the given pose of every pair, which is refined whatever its odds.
     """
     source, target = pairs.source, pairs.target
 
@@ -117,9 +122,17 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
     span = frames(point_moments(source.points, source.valid, source.counts), pairs.threshold)
     middle = point_moments(target.points, target.valid, target.counts)
     icp = _Icp(pairs, work.iterations)
-    candidates = _distinct(pairs, span, weigh(pairs, poses))
-    foremost = candidates.take(_foremost(candidates, work.refined))
-    candidates = _distinct(pairs, span, joined([icp.refine(foremost), candidates]))
+    found, parts = weigh(pairs, poses), []
+    if given is not None:  # beside the search, which goes on as it does without
+        is_given = poses.origin == given
+        as_given, found = found.take(is_given), found.take(~is_given)
+        refined_given = icp.refine(as_given)
+        parts = [refined_given]
+    if len(found.odds) > 0:
+        found = _distinct(pairs, span, found)
+        foremost = found.take(_foremost(found, work.refined))
+        parts += [icp.refine(foremost), found]
+    candidates = _distinct(pairs, span, joined(parts))
 
     best, shared, motion = best_held(candidates)
     probes = joined([slides(best.poses, motion, pairs.threshold), turns(best.poses, middle)])
@@ -130,10 +143,15 @@ def choose(pairs: PreparedPairs, poses: Poses, work: WorkPerPair) -> Choice:
         candidates = _distinct(pairs, span, joined([candidates, refined]))
         _, shared, motion = best_held(candidates)
 
+    of_given = None
+    if given is not None:
+        # one of the candidates is within reach of it from here on
+        candidates = _distinct(pairs, span, joined([candidates, refined_given]))
+        of_given = GivenPoses(as_given, refined_given, _within_reach(pairs, span, candidates, refined_given.poses))
     in_file = shared.points.double() + target.origin.t()[..., None]
     sampled = torch.tensor(source.sizes, device=in_file.device) / source.counts.clamp(min=1)
     information = information_matrices(in_file, shared.valid) * sampled[:, None, None]
-    return Choice(candidates, information, motion)
+    return Choice(candidates, information, motion, of_given)
 
 
 def weigh(pairs: PreparedPairs, poses: Poses) -> Candidates:
@@ -199,6 +217,18 @@ def _foremost(candidates: Candidates, count: int) -> Tensor:
     runs = runs_of(candidates.poses.pair)
     rows = [row for _, begin, end in runs for row in range(begin, min(end, begin + count))]
     return torch.tensor(rows, dtype=torch.int64, device=candidates.odds.device)
+
+
+def _within_reach(pairs: PreparedPairs, span: Tensor, candidates: Candidates, poses: Poses) -> list[int]:
+    """Of every pair, the row of its best candidate that one pose of it, of G, repeats."""
+    vectors, others = candidates.poses.vectors(span), poses.vectors(span)  # (12, H), (12, G)
+    rows = []
+    for pair, begin, end in runs_of(candidates.poses.pair):
+        square = (vectors[:, begin:end] - others[:, pair, None]).square().sum(dim=0)
+        near = square <= (_APART * pairs.threshold[pair]).square()
+        rows.append(torch.where(near, 0.0, square).argmin())  # the first of those that are near
+    found: list[int] = torch.stack(rows).tolist()
+    return found
 
 
 def _distinct(pairs: PreparedPairs, span: Tensor, candidates: Candidates) -> Candidates:

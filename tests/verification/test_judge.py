@@ -17,9 +17,9 @@ from torchreg.solvers import PairPoses
 from torchreg.types import Clouds, Correspondences, Failure
 from torchreg.types.packing import offsets_of
 from torchreg.verification import OverlapFeatures, PairLengths, ProposedPoses, WorkPerPair
+from torchreg.verification.judge import judge_poses
 from torchreg.verification.pairs import groups_of
 from torchreg.verification.verdicts import collect
-from torchreg.verification.verify import verify
 
 WORK = WorkPerPair(poses=6, sample=1100, refined=2, iterations=5)
 
@@ -142,7 +142,7 @@ def judged(problems: list[Problem]):
         matches = Correspondences(source=torch.cat(rows[0]), target=torch.cat(rows[1]), offsets=offsets, score=score)
         proposed.append(ProposedPoses(f"proposal {number}", matches, [one.poses[number] for one in problems]))
     lengths, features = [one.lengths for one in problems], [one.features for one in problems]
-    return collect(source, target, verify(source, target, proposed, lengths, features, WORK))
+    return collect(source, target, judge_poses(source, target, proposed, lengths, features, WORK))
 
 
 def of_pair(result, b: int) -> tuple[Any, ...]:
