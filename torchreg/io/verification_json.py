@@ -6,8 +6,10 @@ from torchreg.errors import expect
 from torchreg.io.result_json import number_or_matrix, plain_data, result_to_dict
 from torchreg.types import Verification
 
-_NUMBERS = ("probability", "deviation_meters", "deviation_degrees", "fitness", "inlier_rmse", "overlap", "residual_median",
-            "residual_rms", "residual_95")  # fmt: skip
+_NUMBERS = (
+    *("probability", "deviation_meters", "deviation_degrees", "fitness", "inlier_rmse", "overlap"),
+    *("residual_median", "residual_rms", "residual_95"),
+)
 _TRANSFORMS = ("T_target_source", "settled", "likeliest")
 
 

@@ -80,7 +80,7 @@ def refine_on_surfels(
 
 
 def residuals_under(source: Surfels, target: Surfels, T_target_source: Tensor, skipped: Sequence[bool]) -> Tensor:
-    """Residuals (B, 3) as ``Refined`` has them, meters, under transforms (B, 4, 4) as they are; NaN for pairs skipped."""
+    """Residuals (B, 3), meters, as ``Refined`` has them, under transforms (B, 4, 4) as they are; NaN where skipped."""
     out = T_target_source.new_full((len(source), 3), torch.nan)
     for b, (one, other) in enumerate(zip(source.unpack(), target.unpack(), strict=True)):
         if not skipped[b] and min(len(one.cloud.points), len(other.cloud.points)) > 0:

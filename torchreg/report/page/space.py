@@ -28,7 +28,8 @@ def space_view(reported: ReportedPair) -> str:
     """The 3D view of a pair as markup, and a sentence on what it shows.
 
     Upright where up is known (``up_of``); coordinates are relative to the target's origin. Distances are those of the
-    source points that are drawn to the nearest of all target points, under the transform or, of a refused pair, its likeliest pose.
+    source points that are drawn to the nearest of all target points, under the transform or, of a refused pair, its
+    likeliest pose.
     """
     scene = scene_of(*reported.clouds, reported.max_points)
     unmoved, apart = scene.unmoved()
