@@ -29,7 +29,7 @@ from torchreg.refinement.gauss_newton import rotation_zyx
 from torchreg.refinement.icp import icp
 
 ITERATIONS = 30
-KINDS = ("point_to_point", "point_to_plane", "colored")
+KINDS = ("point_to_point", "point_to_plane", "colored", "generalized")
 HEAD = ["32 pairs", "torchreg, one batch", "Open3D", "small_gicp", "Open3D / torchreg", "small_gicp / torchreg",
         "largest difference in T"]  # fmt: skip
 
@@ -51,14 +51,13 @@ def perturbed(T: Tensor, number: int, voxel: float) -> Tensor:
 
 
 def made(source: tr.Clouds, target: tr.Clouds, T: Tensor, voxel: float, number: int) -> Start:
-    """The pair in float64 with target normals; origins are taken out, so that all methods see the same numbers."""
+    """The pair in float64 with normals; origins are taken out, so that all methods see the same numbers."""
     source, target = (tr.voxel_downsample(cloud, voxel) for cloud in (source, target))
-    target = tr.estimate_normals(target, tr.neighbors(target, 2 * voxel, 30))
+    source, target = (tr.estimate_normals(cloud, tr.neighbors(cloud, 2 * voxel, 30)) for cloud in (source, target))
     T = T.clone()
     T[:3, 3] += apply_rotation(T[:3, :3], source.origin[0]) - target.origin[0]
     zero = torch.zeros_like(source.origin)
-    bare = (replace(cloud, origin=zero, viewpoint=None, normals=normals)
-            for cloud, normals in ((source, None), (target, target.normals)))  # fmt: skip
+    bare = (replace(cloud, origin=zero, viewpoint=None) for cloud in (source, target))
     return Start(*bare, perturbed(T, number, voxel), voxel)
 
 
@@ -91,8 +90,12 @@ def open3d_icp(pairs: list[Start], kind: str) -> Callable[[], list[Any]]:
         "point_to_point": registration.TransformationEstimationPointToPoint,
         "point_to_plane": registration.TransformationEstimationPointToPlane,
         "colored": registration.TransformationEstimationForColoredICP,
+        "generalized": registration.TransformationEstimationForGeneralizedICP,
     }[kind]()
-    method = registration.registration_colored_icp if kind == "colored" else registration.registration_icp
+    method = {
+        "colored": registration.registration_colored_icp,
+        "generalized": registration.registration_generalized_icp,
+    }.get(kind, registration.registration_icp)
     criteria = registration.ICPConvergenceCriteria(1e-6, 1e-6, ITERATIONS)
     ready = [(tr.to_open3d(p.source), tr.to_open3d(p.target), 1.5 * p.voxel, p.T.numpy()) for p in pairs]
     return lambda: [method(*one, estimation, criteria) for one in ready]
@@ -109,9 +112,10 @@ def small_gicp_icp(pairs: list[Start], kind: str, threads: int) -> Callable[[], 
     ready = []
     for p in pairs:
         target, source = (small_gicp.PointCloud(cloud.points.numpy()) for cloud in (p.target, p.source))
-        small_gicp.estimate_normals(target, num_neighbors=20, num_threads=threads)
+        small_gicp.estimate_normals_covariances(target, num_neighbors=20, num_threads=threads)
+        small_gicp.estimate_normals_covariances(source, num_neighbors=20, num_threads=threads)
         ready.append((target, source, p.T.numpy(), 1.5 * p.voxel))
-    name = {"point_to_point": "ICP", "point_to_plane": "PLANE_ICP"}[kind]
+    name = {"point_to_point": "ICP", "point_to_plane": "PLANE_ICP", "generalized": "GICP"}[kind]
     return lambda: [
         small_gicp.align(target, source, small_gicp.KdTree(target, num_threads=threads), T, name, reach, threads,
                          ITERATIONS, 1e-5, 1e-5)

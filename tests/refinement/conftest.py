@@ -14,7 +14,7 @@ from torchreg.refinement.gauss_newton import rotation_zyx
 
 
 class Start(NamedTuple):
-    """A pair with colors and target normals, the truth, and a transform near it, (1, 4, 4) float64 each."""
+    """A pair with colors and normals, the truth, and a transform near it, (1, 4, 4) float64 each."""
 
     source: tr.Clouds
     target: tr.Clouds
@@ -32,9 +32,9 @@ def perturbation(seed: int, degrees: float, meters: float) -> Tensor:
 
 def room_start(seed=0, count=2500, degrees=2.0, meters=0.05, dtype=torch.float64):
     pair = room_pair(count, seed=seed, dtype=dtype)
-    target = tr.estimate_normals(pair.target, tr.neighbors(pair.target, 0.5, 30))
+    source, target = (tr.estimate_normals(cloud, tr.neighbors(cloud, 0.5, 30)) for cloud in (pair.source, pair.target))
     T = perturbation(seed, degrees, meters) @ pair.T_target_source[0]
-    clouds = (replace(cloud, viewpoint=None) for cloud in (pair.source, target))
+    clouds = (replace(cloud, viewpoint=None) for cloud in (source, target))
     return Start(*clouds, pair.T_target_source, T[None])
 
 

@@ -11,10 +11,11 @@ from closeness import close
 import torchreg as tr
 from torchreg.open3d_loader import load_open3d
 from torchreg.refinement import IcpOptions
+from torchreg.refinement.generalized import EPSILON
 from torchreg.refinement.icp import icp
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
-KINDS = ("point_to_point", "point_to_plane", "colored")
+KINDS = ("point_to_point", "point_to_plane", "colored", "generalized")
 
 
 def loss(name, scale):
@@ -31,13 +32,23 @@ def open3d_icp(source, target, T, options):
     if options.kind == "colored":
         estimation = reg.TransformationEstimationForColoredICP(1 - options.color_weight, kernel)
         return reg.registration_colored_icp(*clouds, options.max_distance, T.numpy(), estimation, criteria)
+    if options.kind == "generalized":
+        estimation = reg.TransformationEstimationForGeneralizedICP(EPSILON, kernel)
+        return reg.registration_generalized_icp(*clouds, options.max_distance, T.numpy(), estimation, criteria)
     plane = reg.TransformationEstimationPointToPlane(kernel)
     point = reg.TransformationEstimationPointToPoint()
     estimation = plane if options.kind == "point_to_plane" else point
     return reg.registration_icp(*clouds, options.max_distance, T.numpy(), estimation, criteria)
 
 
+def towards_x(clouds):
+    """The same normals but for their signs, so that none is near -x, which Open3D's generalized ICP takes for x."""
+    return replace(clouds, normals=torch.where(clouds.normals[:, :1] < 0, -clouds.normals, clouds.normals))
+
+
 def assert_as_open3d(source, target, T, options, atol=1e-9):
+    if options.kind == "generalized":
+        source, target = towards_x(source), towards_x(target)
     expected = open3d_icp(source, target, T[0], options)
     found = icp(source, target, T, options)
     assert close(found.T_target_source[0], torch.from_numpy(expected.transformation.copy()), atol=atol)
@@ -60,7 +71,7 @@ def test_every_iterate_is_that_of_open3d(start, kind, iterations):
     assert_as_open3d(source, target, T, options)
 
 
-@pytest.mark.parametrize("kind", ["point_to_plane", "colored"])
+@pytest.mark.parametrize("kind", ["point_to_plane", "colored", "generalized"])
 @pytest.mark.parametrize(("kernel", "scale"), [("huber", 0.01), ("tukey", 0.05), ("geman_mcclure", 0.01)])
 def test_robust_kernels_are_those_of_open3d(start, kind, kernel, scale):
     source, target, _, T = start(1)
@@ -89,7 +100,7 @@ def real_start(name, perturbed):
     voxel = pair["voxel_m"]
     clouds = (tr.read_cloud(REAL / pair[side], dtype=torch.float64) for side in ("source", "target"))
     source, target = (tr.voxel_downsample(cloud, voxel) for cloud in clouds)
-    target = tr.estimate_normals(target, tr.neighbors(target, 2 * voxel, 30))
+    source, target = (tr.estimate_normals(cloud, tr.neighbors(cloud, 2 * voxel, 30)) for cloud in (source, target))
     # both about their own zeros, so that Open3D sees the same numbers
     T = torch.tensor(pair["T"], dtype=torch.float64)
     T[:3, 3] += T[:3, :3] @ source.origin[0] - target.origin[0]
@@ -107,7 +118,7 @@ def test_real_pairs_give_what_open3d_gives(name, kind, perturbed):
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("kind", ["point_to_point", "point_to_plane"])
+@pytest.mark.parametrize("kind", ["point_to_point", "point_to_plane", "generalized"])
 def test_a_real_pair_without_colors_gives_what_open3d_gives(kind, perturbed):
     source, target, T, voxel = real_start("eth_facade_tls_nocolour_03_06", perturbed)
     assert_as_open3d(source, target, T, IcpOptions(max_distance=1.5 * voxel, kind=kind))

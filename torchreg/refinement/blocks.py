@@ -73,6 +73,13 @@ class Blocks:
         return padded[:, :, 0].t()  # (B, C)
 
 
+def turned(rotation: Tensor, vectors: Tensor) -> Tensor:
+    """Vectors (3, k, 256) turned by the rotations (k, 3, 3) of their blocks."""
+    x, y, z = vectors.unbind(0)
+    R = rotation[..., None]  # (k, 3, 3, 1)
+    return torch.stack([R[:, i, 0] * x + R[:, i, 1] * y + R[:, i, 2] * z for i in range(3)])
+
+
 def _numbers(counts: tuple[int, ...], device: torch.device) -> Tensor:
     each = torch.tensor(counts, dtype=torch.int64)
     return torch.arange(len(counts)).repeat_interleave(each).to(device)

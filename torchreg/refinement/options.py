@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.refinement.colored import COLORED
 from torchreg.refinement.estimator import IcpKind
+from torchreg.refinement.generalized import GENERALIZED
 from torchreg.refinement.kernels import KERNELS
 from torchreg.refinement.point_to_plane import POINT_TO_PLANE
 from torchreg.refinement.point_to_point import POINT_TO_POINT
@@ -15,6 +16,7 @@ KINDS: dict[str, IcpKind] = {
     "point_to_point": POINT_TO_POINT,
     "point_to_plane": POINT_TO_PLANE,
     "colored": COLORED,
+    "generalized": GENERALIZED,
 }
 
 
@@ -49,8 +51,9 @@ class IcpOptions:
     Attributes:
         max_distance: meters; a point has a correspondence when its nearest target point is nearer than this.
         kind: what is minimized: the distance ``"point_to_point"``, the distance ``"point_to_plane"`` (the target
-            needs normals), or the latter together with differences of intensity, ``"colored"`` (the target needs
-            normals, both clouds need colors).
+            needs normals), the latter together with differences of intensity, ``"colored"`` (the target needs
+            normals, both clouds need colors), or the distance weighed by the planes of both points, ``"generalized"``
+            (both clouds need normals; the kernel's scale is then of whitened residuals, meters along surfaces).
         iterations: updates at most.
         relative_fitness: iteration stops when fitness changes by less than this in one update ...
         relative_rmse: ... and inlier_rmse by less than this, meters. Both are differences, as in Open3D, which

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.refinement.blocks import Blocks
+from torchreg.refinement.blocks import Blocks, turned
 from torchreg.refinement.correspond import Correspondence, Target, few_nearest
 from torchreg.refinement.gauss_newton import CHANNELS, products, solve
 from torchreg.refinement.kernels import tukey
@@ -93,16 +93,12 @@ class SurfelPairs:
         extra = self._extra if extra is None else extra
         normal = matches.partner[3:6]
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
-        R = rotation[matches.blocks.pair]  # (n, 3, 3)
-        facing = torch.zeros_like(x)
-        for i in range(3):
-            along = R[:, i, 0, None] * extra[0] + R[:, i, 1, None] * extra[1] + R[:, i, 2, None] * extra[2]
-            facing += along * normal[i]
+        a, b, c = turned(rotation[matches.blocks.pair], extra[:3]).mul_(normal).unbind(0)
         return Residuals(
             distance=x.add_(y).add_(z),
             variance=(extra[3] + matches.partner[6]).clamp_(min=1e-24),
             normal=normal,
-            alike=matches.inside & (facing.abs_() > _FACING),
+            alike=matches.inside & (a.add_(b).add_(c).abs_() > _FACING),
         )
 
     def settle(self, rotation: Tensor, translation: Tensor, reach: Tensor) -> Settling:
@@ -118,9 +114,9 @@ class SurfelPairs:
             spread = _spread(shown, matches.blocks)
             update = solve(_sums(shown, matches, spread), self.frames.target_center[pairs])
             usable = update.usable.tolist()
-            turned = apply_rotation(update.rotation[:, None], R[pairs].transpose(1, 2)).transpose(1, 2)
+            onwards = apply_rotation(update.rotation[:, None], R[pairs].transpose(1, 2)).transpose(1, 2)
             moved = apply_rotation(update.rotation, t[pairs]) + update.translation
-            step = self.displacement(pairs, turned, moved, R[pairs], t[pairs])
+            step = self.displacement(pairs, onwards, moved, R[pairs], t[pairs])
             at_end = (reach[pairs] <= self.nearest[pairs]).tolist()
             typical = _medians(deviations(shown, spread, matches.blocks), shown.alike, matches.blocks)
             small = (step < _STILL * spread.scale * typical).tolist()
@@ -128,7 +124,7 @@ class SurfelPairs:
             for place, b in enumerate(pairs):
                 solvable[b] = solvable[b] and usable[place]
                 if usable[place]:
-                    R[b], t[b] = turned[place], moved[place]
+                    R[b], t[b] = onwards[place], moved[place]
                     updates[b] += 1
                 stays.append(usable[place] and not (small[place] and at_end[place]))
             reach[pairs] = torch.maximum(_NARROWER * reach[pairs], self.nearest[pairs])
