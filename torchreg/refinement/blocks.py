@@ -39,7 +39,7 @@ class Blocks:
         return Blocks(_numbers(counts, device), real.view(-1, BLOCK), counts)
 
     def fill(self, values: Tensor) -> Tensor:
-        """Spread packed values (P, C) over the blocks: (C, n, 256) float64, zero where rows only fill up."""
+        """ResidualSpread packed values (P, C) over the blocks: (C, n, 256) float64, zero where rows only fill up."""
         out = values.new_zeros(values.shape[1], self.real.numel(), dtype=torch.float64)
         out[:, self.real.view(-1)] = values.t().double()
         return out.view(values.shape[1], *self.real.shape)

@@ -10,6 +10,7 @@ on simulated scans (bench/refinement.py).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -17,7 +18,8 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.sums import row_sums
 from torchreg.refinement.point_to_plane import jacobian
-from torchreg.refinement.settle import CUT, Settling
+from torchreg.refinement.settle import Settling
+from torchreg.refinement.spread import CUT, FAINT
 
 INFLATION = 3.0
 """Of the jackknife's variances."""
@@ -25,6 +27,8 @@ INFLATION = 3.0
 _CELLS = (16.0, 8.0, 4.0, 2.0)  # spacings along a cell's edge: the first that gives enough cells
 _ENOUGH_CELLS = 30
 _LEAST_CELLS = 12  # twice the unknowns
+_LOOSE = 0.05  # strength below which a motion is not held: the noise of normals alone feigns half of it
+_UNHELD = 1e3  # times the size of the overlap: the deviation of such a motion
 
 
 class Certainty(NamedTuple):
@@ -47,6 +51,15 @@ class _Overlap(NamedTuple):
     deviation: Tensor  # (N,) meters, by which noise alone moves it
     share: Tensor  # (N,) of the distance at which surfels lose all weight, in (-1, 1)
     of_all: Tensor  # scalar, share of the source's surfels
+    shade: _Shade | None  # where colors take part
+
+
+class _Shade(NamedTuple):
+    """Their differences of intensity."""
+
+    slope: Tensor  # (3, N) per meter
+    difference: Tensor  # (N,)
+    deviation: Tensor  # scalar
 
 
 def certainty(settling: Settling, number: int, spacing: float) -> Certainty:
@@ -62,8 +75,18 @@ def certainty(settling: Settling, number: int, spacing: float) -> Certainty:
     at = ((shared.point - center[:, None]) / size)[:, None]
     J = jacobian(at, shared.normal[:, None], shared.distance[None])[:6, 0]  # (6, N), turns in units of 1 / size
     units = torch.cat([1 / size.expand(3), torch.ones_like(size).expand(3)])
-    covariance = INFLATION * _jackknife(J, shared, spacing) * units[:, None] * units
-    resisted = torch.diagonal(_inverse(_products(J, torch.ones_like(shared.distance))))
+    estimates = [_Estimate(J, shared.point, shared.distance, shared.share, 1 / shared.deviation.square())]
+    if shared.shade is not None and bool(shared.shade.deviation >= FAINT):
+        slope, difference, deviation = shared.shade
+        bounded = (difference / (CUT * deviation)).clamp(-1, 1)  # beyond, without weight
+        rows = jacobian(at, slope[:, None], difference[None])[:6, 0]
+        noise = (settling.spread.scale[number] / deviation).square().expand_as(difference)
+        estimates.append(_Estimate(rows, shared.point, difference, bounded, noise))
+    covariance = INFLATION * _jackknife(estimates, spacing) * units[:, None] * units
+    resistance = _products(J, torch.ones_like(shared.distance))
+    if shared.shade is None:
+        covariance = covariance + _unheld(resistance / count, size) * units[:, None] * units
+    resisted = torch.diagonal(_inverse(resistance))
     held = (1 / (count * resisted)).clamp(min=0, max=1).sqrt()
     size_of = shared.distance.abs()
     residuals = torch.stack([size_of.median(), _means(size_of.square()[None])[0].sqrt(), _quantile(size_of, 0.95)])
@@ -86,6 +109,10 @@ def _overlap_of(settling: Settling, number: int) -> _Overlap:
     def chosen(values: Tensor) -> Tensor:
         return values.reshape(*values.shape[:-2], -1)[..., kept]
 
+    shade = None
+    if shown.shades is not None and settling.spread.shade is not None:
+        slope, difference = chosen(shown.shades.slope[:, rows]), chosen(shown.shades.difference[rows])
+        shade = _Shade(slope, difference, settling.spread.shade[number])
     return _Overlap(
         point=chosen(settling.matches.moved[:, rows]),
         normal=chosen(shown.normal[:, rows]),
@@ -93,28 +120,50 @@ def _overlap_of(settling: Settling, number: int) -> _Overlap:
         deviation=chosen(deviation),
         share=chosen(share),
         of_all=kept.sum().double() / blocks.real[rows].sum(),
+        shade=shade,
     )
 
 
-def _jackknife(J: Tensor, shared: _Overlap, spacing: float) -> Tensor:
-    """The covariance (6, 6) of the estimate whose rows are J (6, N); NaN where there are few cells."""
-    squares = shared.share * shared.share
-    per_noise = 1 / (shared.deviation * shared.deviation)
-    stiffness = (1 - squares) * (1 - 5 * squares) * per_noise  # the slope of Tukey's influence
-    pulls = J * ((1 - squares) ** 2 * per_noise * shared.distance)  # (6, N)
-    products = (J[:, None] * J * stiffness).view(36, -1)
+class _Estimate(NamedTuple):
+    """Rows of one kind that the pose is estimated from."""
+
+    J: Tensor  # (6, N)
+    point: Tensor  # (3, N) meters
+    residual: Tensor  # (N,)
+    share: Tensor  # (N,) of the residual at which rows lose all weight, in [-1, 1]
+    per_noise: Tensor  # (N,) the inverse of the squared deviation that noise alone gives
+
+
+def _jackknife(estimates: Sequence[_Estimate], spacing: float) -> Tensor:
+    """The covariance (6, 6) of the estimate from rows of several kinds; NaN where there are few cells."""
+    values = []
+    for J, _, residual, share, per_noise in estimates:
+        squares = share * share
+        stiffness = (1 - squares) * (1 - 5 * squares) * per_noise  # the slope of Tukey's influence
+        pulls = J * ((1 - squares) ** 2 * per_noise * residual)  # (6, N)
+        values.append(torch.cat([pulls, (J[:, None] * J * stiffness).view(36, -1)]))
+    points = torch.cat([each.point for each in estimates], dim=1)
+    rows = torch.cat(values, dim=1)  # (42, all N)
     for cells in _CELLS:
-        sums = _cell_sums(shared.point, torch.cat([pulls, products]), cells * spacing)  # (C, 42)
+        sums = _cell_sums(points, rows, cells * spacing)  # (C, 42)
         if len(sums) >= _ENOUGH_CELLS:
             break
     if len(sums) < _LEAST_CELLS:
-        return J.new_full((6, 6), torch.nan)
+        return points.new_full((6, 6), torch.nan)
     pull, own = sums[:, :6], sums[:, 6:].view(-1, 6, 6)
     whole = own.cumsum(dim=0)[-1]
     moved = torch.linalg.solve_ex(whole - own, pull)[0]  # (C, 6), the update without each cell
     covariance = (moved[:, :, None] * moved[:, None]).cumsum(dim=0)[-1] * ((len(moved) - 1) / len(moved))
     sound = (torch.linalg.eigvalsh(whole)[0] > 0) & torch.isfinite(covariance).all()
     return torch.where(sound, covariance, torch.nan)
+
+
+def _unheld(resistance: Tensor, size: Tensor) -> Tensor:
+    """The covariance (6, 6), meters, of motions that no plane resists, by the mean resistance (6, 6) of the planes."""
+    values, vectors = torch.linalg.eigh(resistance)
+    loose = torch.where(values < _LOOSE**2, (_UNHELD * size).square(), torch.zeros_like(values))
+    added: Tensor = (vectors * loose) @ vectors.t()
+    return added
 
 
 def _means(values: Tensor) -> Tensor:

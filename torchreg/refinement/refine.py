@@ -17,17 +17,21 @@ from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import shared_out
 from torchreg.refinement.certainty import Certainty, agreeing, certainty
 from torchreg.refinement.pairing import Pairing, enter, leave
-from torchreg.refinement.settle import SurfelPairs
+from torchreg.refinement.settle import Settling, SurfelPairs
+from torchreg.refinement.spread import FAINT
 from torchreg.refinement.surfels import Surfels
 
 _START = 0.25  # of the reach: the deviation of a pose to start from, at the size of the overlap
 _FARTHEST = 1.5  # times the reach, that a pose may move
 _FEWER = 0.8  # of the surfels that lay on each other before, at least
+_ALIKE = 0.8  # of the contrast, that the intensities of partners differ by at most: a correlation of 0.7
+_SLIDES = 0.05  # of the strength by axis: below it colors take part
 _GROUP = 200_000  # surfels of the sources of a group
 
 FEW = "too few flat places to refine it on"
 OPEN = "the flat places of the overlap leave its motion open"
 FARTHER = "flat places would move it far beyond the inlier threshold"
+COLORLESS = "colors do not tell more"
 WORSE = "fewer flat places would lie on each other"
 
 
@@ -107,7 +111,22 @@ def _unrefined(T: Tensor, reason: str) -> _One:
 
 
 def _refine(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float]) -> list[_One]:
-    pairs = SurfelPairs(source, target, Pairing(range(len(source)), range(len(source))))
+    """By planes; a pose that slides on them by colors too, where both clouds have them."""
+    made = _laid(source, target, T, reach)
+    sliding = [b for b, one in enumerate(made) if one.reason == OPEN or bool((one.held < _SLIDES).any())]
+    if not sliding or source.cloud.colors is None or target.cloud.colors is None:
+        return made
+    sources, targets = source.unpack(), target.unpack()
+    sides = Surfels.pack([sources[b] for b in sliding]), Surfels.pack([targets[b] for b in sliding])
+    again = _laid(*sides, torch.stack([made[b].T for b in sliding]), [reach[b] for b in sliding], colored=True)
+    for b, one in zip(sliding, again, strict=True):
+        if not one.reason:
+            made[b] = one
+    return made
+
+
+def _laid(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float], *, colored: bool = False) -> list[_One]:
+    pairs = SurfelPairs(source, target, Pairing(range(len(source)), range(len(source))), colored=colored)
     R, t = enter(pairs.frames, T)
     limit = torch.tensor(reach, dtype=torch.float64, device=T.device)
     settled = pairs.settle(R, t, limit)
@@ -117,6 +136,8 @@ def _refine(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float])
     for b in range(len(source)):
         known = certainty(settled, b, float(pairs.spacing[b]))
         reason = _objection(settled.solvable[b], known, bool(moved[b] > _FARTHEST * limit[b]))
+        if colored and not _colors_agree(settled, b):
+            reason = COLORLESS
         if not reason and agreeing(settled, b) < _FEWER * agreeing(before, b):
             reason = WORSE
         pose, covariance = (settled.rotation[b], settled.translation[b]), known.covariance
@@ -132,6 +153,14 @@ def _refine(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float])
         else _One(poses[b], "", known.residuals, covariance, known.center + middle[b], known.held)
         for b, (reason, known, covariance) in enumerate(shown)
     ]
+
+
+def _colors_agree(settled: Settling, b: int) -> bool:
+    """Whether the intensities of pair ``b`` vary, and those of partners are alike in this."""
+    shades, deviation = settled.residuals.shades, settled.spread.shade
+    if shades is None or deviation is None:
+        return False
+    return bool((deviation[b] >= FAINT) & (deviation[b] < _ALIKE * shades.contrast[b]))
 
 
 def _objection(solvable: bool, known: Certainty, far: bool) -> str:

@@ -9,6 +9,7 @@ saw, ends up without weight, while few pairs have to be told how noisy they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -16,38 +17,29 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.refinement.blocks import Blocks, turned
+from torchreg.refinement.colored import color_gradient
 from torchreg.refinement.correspond import Correspondence, Target, few_nearest
-from torchreg.refinement.gauss_newton import CHANNELS, products, solve
-from torchreg.refinement.kernels import tukey
+from torchreg.refinement.gauss_newton import solve
 from torchreg.refinement.pairing import Frames, Pairing, centered_frames
-from torchreg.refinement.point_to_plane import jacobian
+from torchreg.refinement.spread import (
+    Residuals,
+    ResidualSpread,
+    deviations,
+    medians,
+    normal_equations,
+    residual_spread,
+    shades_of,
+)
 from torchreg.refinement.surfels import Surfels
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
-CUT = 3.0  # standard deviations of the residuals, beyond which they have no weight
-_DEVIATION = 1.4826  # standard deviation of normal numbers to their median absolute value
 _FACING = 0.7  # cosine between the normals of partners at least
 _NARROWER = 0.5  # of the reach, from one update to the next
 _NEAREST = 2.0  # spacings, where the reach ends
 _MOST_UPDATES = 30
+_SHADE_RADIUS = 3.0  # spacings, from which the gradient of intensity is taken
 _STILL = 2e-3  # of the residuals' deviation: smaller updates end the refinement
-
-
-class Residuals(NamedTuple):
-    """Surfels of the sources and the planes of their partners, k blocks of 256 rows; float64."""
-
-    distance: Tensor  # (k, 256) meters, of the means to the partners' planes
-    variance: Tensor  # (k, 256) squared meters, that the noise of both surfels gives it
-    normal: Tensor  # (3, k, 256) of the partners
-    alike: Tensor  # (k, 256) bool, whether the two are within reach and face alike
-
-
-class Spread(NamedTuple):
-    """How far the surfels of B pairs lie from the planes of their partners, but for those that have none."""
-
-    scale: Tensor  # (B,) float64, standard deviation of the residuals in units of their ``deviations``
-    excess: Tensor  # (B,) squared meters, the variance that noise alone does not explain: scans are bent, things moved
 
 
 class Settling(NamedTuple):
@@ -55,7 +47,7 @@ class Settling(NamedTuple):
 
     matches: Correspondence  # of the pairs, in their order
     residuals: Residuals  # of all blocks
-    spread: Spread  # of the B pairs
+    spread: ResidualSpread  # of the B pairs
     rotation: Tensor  # (B, 3, 3) float64, between the centered frames
     translation: Tensor  # (B, 3) float64
     solvable: list[bool]  # whether the surfels determine the motion
@@ -63,9 +55,13 @@ class Settling(NamedTuple):
 
 
 class SurfelPairs:
-    """B pairs of surfel clouds, none of which is empty, ready to be laid onto each other under any poses."""
+    """B pairs of surfel clouds, none of which is empty, ready to be laid onto each other under any poses.
 
-    def __init__(self, source: Surfels, target: Surfels, pairing: Pairing) -> None:
+    With ``colored``, which all clouds need colors for, their intensities take part.
+    """
+
+    def __init__(self, source: Surfels, target: Surfels, pairing: Pairing, *, colored: bool = False) -> None:
+        self._colored = colored
         self.pairing = pairing
         self.frames: Frames = centered_frames(source.cloud, target.cloud, pairing)
         self._source, self._target = source, target
@@ -76,7 +72,8 @@ class SurfelPairs:
         rows = torch.cat([torch.arange(begin, end) for begin, end in sources]).to(device)
         center = self.frames.source_center.repeat_interleave(torch.tensor(self.lengths, device=device), dim=0)
         self._points = self.blocks.fill(source.cloud.points[rows].double() - center)  # (3, n, 256)
-        self._extra = self.blocks.fill(_plane_columns(source)[rows])  # (4, n, 256): normal, variance
+        columns = _plane_columns(source) if not colored else torch.cat([_plane_columns(source), _shade(source)], dim=1)
+        self._extra = self.blocks.fill(columns[rows])  # (4 or 5, n, 256): normal, variance, intensity
         self._searched = self._target_of(target)
         spacings = [max(source.spacing[one], target.spacing[other]) for one, other in zip(*pairing, strict=True)]
         self.spacing = torch.tensor(spacings, dtype=torch.float64, device=device)
@@ -94,11 +91,13 @@ class SurfelPairs:
         normal = matches.partner[3:6]
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
         a, b, c = turned(rotation[matches.blocks.pair], extra[:3]).mul_(normal).unbind(0)
+        alike = matches.inside & (a.add_(b).add_(c).abs_() > _FACING)
         return Residuals(
             distance=x.add_(y).add_(z),
             variance=(extra[3] + matches.partner[6]).clamp_(min=1e-24),
             normal=normal,
-            alike=matches.inside & (a.add_(b).add_(c).abs_() > _FACING),
+            alike=alike,
+            shades=shades_of(extra[4], matches, matches.partner[7:], alike, normal) if self._colored else None,
         )
 
     def settle(self, rotation: Tensor, translation: Tensor, reach: Tensor) -> Settling:
@@ -111,14 +110,14 @@ class SurfelPairs:
         for _ in range(_MOST_UPDATES):
             pairs = matches.pairs
             shown = self.residuals(matches, R[pairs], extra)
-            spread = _spread(shown, matches.blocks)
-            update = solve(_sums(shown, matches, spread), self.frames.target_center[pairs])
+            spread = residual_spread(shown, matches.blocks)
+            update = solve(normal_equations(shown, matches, spread), self.frames.target_center[pairs])
             usable = update.usable.tolist()
             onwards = apply_rotation(update.rotation[:, None], R[pairs].transpose(1, 2)).transpose(1, 2)
             moved = apply_rotation(update.rotation, t[pairs]) + update.translation
             step = self.displacement(pairs, onwards, moved, R[pairs], t[pairs])
             at_end = (reach[pairs] <= self.nearest[pairs]).tolist()
-            typical = _medians(deviations(shown, spread, matches.blocks), shown.alike, matches.blocks)
+            typical = medians(deviations(shown, spread, matches.blocks), shown.alike, matches.blocks)
             small = (step < _STILL * spread.scale * typical).tolist()
             stays = []
             for place, b in enumerate(pairs):
@@ -137,11 +136,11 @@ class SurfelPairs:
             matches.move(R[matches.pairs], t[matches.pairs])
         return self.seen(R, t)._replace(solvable=solvable, updates=updates)
 
-    def seen(self, rotation: Tensor, translation: Tensor, spread: Spread | None = None) -> Settling:
+    def seen(self, rotation: Tensor, translation: Tensor, spread: ResidualSpread | None = None) -> Settling:
         """Poses (B, 3, 3), (B, 3) as they are; ``spread`` where the residuals' own is not wanted."""
         matches = self.matched(rotation, translation, self.nearest)
         shown = self.residuals(matches, rotation)
-        spread = _spread(shown, self.blocks) if spread is None else spread
+        spread = residual_spread(shown, self.blocks) if spread is None else spread
         count = len(rotation)
         return Settling(matches, shown, spread, rotation, translation, [True] * count, [0] * count)
 
@@ -167,6 +166,8 @@ class SurfelPairs:
         points = cloud.points.double() - center.repeat_interleave(each, dim=0)
         search = {n: few_nearest(points[i:j]) for n, (i, j) in enumerate(spans(cloud.offsets)) if j > i}
         first = cloud.offsets.tolist()
+        if self._colored:
+            columns = torch.cat([columns, _gradient(target, points), _shade(target)], dim=1)
         return Target(
             torch.cat([points, columns], dim=1).t().contiguous(),
             tuple(first[number] for number in self.pairing.target),
@@ -182,40 +183,17 @@ def _plane_columns(surfels: Surfels) -> Tensor:
     return torch.cat([cloud.normals, surfels.variance[:, None]], dim=1).double()
 
 
-def deviations(shown: Residuals, spread: Spread, blocks: Blocks) -> Tensor:
-    """The standard deviations (n, 256) of the residuals by noise and excess, meters."""
-    return (shown.variance + spread.excess[blocks.pair][:, None]).sqrt_()
+def _shade(surfels: Surfels) -> Tensor:
+    """(P, 1) float64: intensity, the mean of red, green and blue."""
+    colors = surfels.cloud.colors
+    if colors is None:
+        raise ValueError("surfels: expected colors, got none")
+    return (colors[:, 0].double() + colors[:, 1].double() + colors[:, 2].double())[:, None] / 3
 
 
-def _spread(shown: Residuals, blocks: Blocks) -> Spread:
-    """The spread of every pair, from medians, which what moved does not reach."""
-    distance = shown.distance.abs()
-    whole = (_DEVIATION * _medians(distance, shown.alike, blocks)).square()
-    excess = (whole - _medians(shown.variance, shown.alike, blocks)).clamp(min=0)
-    relative = distance / deviations(shown, Spread(excess, excess), blocks)
-    return Spread((_DEVIATION * _medians(relative, shown.alike, blocks)).clamp(min=1e-12), excess)
-
-
-def _medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
-    """Medians (B,) of values (n, 256) where ``kept``; 0 where a pair has none."""
-    ends = torch.tensor(blocks.counts).cumsum(0).tolist()
-    medians = []
-    for end, count in zip(ends, blocks.counts, strict=True):
-        rows = slice(end - count, end)
-        own = values[rows][kept[rows]]
-        medians.append(own.median() if len(own) > 0 else values.new_zeros(()))
-    return torch.stack(medians)
-
-
-def _sums(shown: Residuals, matches: Correspondence, spread: Spread) -> Tensor:
-    """The sums (B, 28) of the normal equations."""
-    blocks = matches.blocks
-    cut = CUT * spread.scale[blocks.pair][:, None]
-    deviation = deviations(shown, spread, blocks)
-
-    def terms(chunk: slice) -> Tensor:
-        distance, unit = shown.distance[chunk], deviation[chunk]
-        weight = tukey(distance / unit, cut[chunk]) * shown.alike[chunk] / (unit * unit)
-        return products(jacobian(matches.moved[:, chunk], shown.normal[:, chunk], distance), weight)
-
-    return blocks.sums(terms, CHANNELS)
+def _gradient(surfels: Surfels, points: Tensor) -> Tensor:
+    """(P, 3) float64: the gradient of intensity along every surfel, per meter; its points are about their centers."""
+    radius = torch.tensor([max(_SHADE_RADIUS * spacing, 1e-9) for spacing in surfels.spacing], dtype=torch.float64)
+    about = replace(surfels.cloud.to(dtype=torch.float64), points=points)
+    normals = _plane_columns(surfels)[:, :3]
+    return color_gradient(about, normals, _shade(surfels)[:, 0], radius)
