@@ -46,7 +46,7 @@ from torchreg.refinement.surfels import surfels_of
 from torchreg.registration.options import REFINE_POINTS
 
 MALLS = range(20)
-COVERAGE = {"mall": range(400, 450), "road": range(400, 450)}
+COVERAGE = {"mall": range(500, 550), "road": range(500, 550)}
 FACADES = ("eth_facade_tls_nocolour", "sceaux_outdoor")
 CHI_SQUARE = {0.5: 5.348, 0.95: 12.592}  # of six degrees of freedom
 REACH = 0.6  # meters, the threshold of a hall

@@ -21,7 +21,7 @@ from torchreg.refinement.point_to_plane import jacobian
 from torchreg.refinement.settle import Settling
 from torchreg.refinement.spread import CUT, FAINT
 
-INFLATION = 3.0
+INFLATION = 2.25
 """Of the jackknife's variances."""
 
 _CELLS = (16.0, 8.0, 4.0, 2.0)  # spacings along a cell's edge: the first that gives enough cells
