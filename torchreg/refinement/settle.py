@@ -40,6 +40,7 @@ class Residuals(NamedTuple):
     distance: Tensor  # (k, 256) meters, of the means to the partners' planes
     variance: Tensor  # (k, 256) squared meters, that the noise of both surfels gives it
     normal: Tensor  # (3, k, 256) of the partners
+    turned: Tensor  # (3, k, 256) of the sources' surfels, turned into the target's frame, of either sign
     alike: Tensor  # (k, 256) bool, whether the two are within reach and face alike
 
 
@@ -94,14 +95,15 @@ class SurfelPairs:
         normal = matches.partner[3:6]
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
         R = rotation[matches.blocks.pair]  # (n, 3, 3)
-        facing = torch.zeros_like(x)
-        for i in range(3):
-            along = R[:, i, 0, None] * extra[0] + R[:, i, 1, None] * extra[1] + R[:, i, 2, None] * extra[2]
-            facing += along * normal[i]
+        own = [
+            R[:, i, 0, None] * extra[0] + R[:, i, 1, None] * extra[1] + R[:, i, 2, None] * extra[2] for i in range(3)
+        ]
+        facing = own[0] * normal[0] + own[1] * normal[1] + own[2] * normal[2]
         return Residuals(
             distance=x.add_(y).add_(z),
             variance=(extra[3] + matches.partner[6]).clamp_(min=1e-24),
             normal=normal,
+            turned=torch.stack(own),
             alike=matches.inside & (facing.abs_() > _FACING),
         )
 
