@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import random_points
 
-from torchreg.geometry.morton import morton_order
+from torchreg.geometry.morton import morton_order, occupied_cells
 from torchreg.types.packing import offsets_of, spans
 
 
@@ -96,3 +96,23 @@ def test_points_that_are_not_finite_still_give_a_permutation():
 def test_what_does_not_fit_is_refused(points, name):
     with pytest.raises(ValueError, match=f"^{name}: expected "):
         morton_order(points, torch.tensor([0, 4]))
+
+
+@given(st.integers(1, 60), st.integers(0, 2**31), st.sampled_from([0.0, 1.0, -3e5]))
+def test_occupied_cells_are_those_of_the_halved_bounding_cube(count, seed, shift):
+    points = random_points(count, seed, torch.float64) + shift
+    points[count // 2 :, 2] = points[0, 2]
+    low = points.amin(dim=0)
+    extent = float((points - low).amax()) or 1.0
+    finest = ((points - low) / extent * (2**21 - 1)).long()
+    expected = [len({tuple(cell) for cell in (finest >> (21 - n)).tolist()}) for n in range(22)]
+    assert occupied_cells(points) == expected
+
+
+def test_occupied_cells_grow_from_one_to_the_number_of_places():
+    points = random_points(40).repeat(3, 1)
+    counts = occupied_cells(points)
+    assert counts[0] == 1
+    assert counts == sorted(counts)
+    assert counts[-1] == 40
+    assert occupied_cells(points[:1]) == [1] * 22

@@ -9,6 +9,7 @@ from problems import random_points
 from refusals import refuses
 
 from torchreg.neighborhoods import nearest
+from torchreg.neighborhoods.point_index import nearest_of_all, several_nearest
 
 both_backends = pytest.mark.parametrize("backend", ["open3d", "torch"])
 both_dtypes = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
@@ -41,6 +42,16 @@ def test_without_points_there_is_none(backend):
     assert index.tolist() == [-1] * 4
     assert sq_distance.tolist() == [torch.inf] * 4
     assert nearest(torch.zeros(0, 3), random_points(4), backend=backend).index.shape == (0,)
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 40), st.integers(1, 60), st.integers(1, 20), st.integers(0, 2**31))
+def test_several_nearest_are_those_of_all_pairs(queries, count, several, seed):
+    query, points = random_points(queries, seed, torch.float64), random_points(count, seed + 1, torch.float64)
+    squares = (points - query[:, None]).square().sum(dim=2)
+    expected = squares.argsort(dim=1)[:, :several]
+    assert torch.equal(several_nearest(query, points, several), expected)
+    assert torch.equal(nearest_of_all(query, points, several, 3000), expected)
 
 
 def test_all_pairs_take_the_smallest_index_of_equals():

@@ -6,6 +6,7 @@ Z order makes every later search and gather faster, since neighbors in space lie
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -37,6 +38,18 @@ def voxel_downsample(cloud: Clouds, voxel_size: float | Tensor) -> Clouds:
     Raises:
         ValueError: ``voxel_size`` not above 0, or so small against the extent that voxels cannot be numbered.
     """
+    return counted_voxels(cloud, voxel_size).cloud
+
+
+class CountedVoxels(NamedTuple):
+    """Voxel means, and how many points each stands for."""
+
+    cloud: Clouds  # B clouds in Z order
+    points: Tensor  # (P,) float64, points of each mean
+
+
+def counted_voxels(cloud: Clouds, voxel_size: float | Tensor) -> CountedVoxels:
+    """As ``voxel_downsample``, with the number of points in every voxel."""
     sizes = _per_cloud(voxel_size, cloud)
     spans_and_sizes = zip(spans(cloud.offsets), sizes, strict=True)
     parts = [_voxel_rows(cloud, begin, end, size) for (begin, end), size in spans_and_sizes]
@@ -56,7 +69,8 @@ def voxel_downsample(cloud: Clouds, voxel_size: float | Tensor) -> Clouds:
         colors=None if cloud.colors is None else join(1).to(dtype),
         normals=normals,
     )
-    return in_morton_order(thinned)
+    order = morton_order(thinned.points, thinned.offsets)
+    return CountedVoxels(thinned.rows(order, thinned.offsets), join(3)[order])
 
 
 def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator | None = None) -> Clouds:
@@ -150,12 +164,12 @@ def _per_cloud(size: float | Tensor, cloud: Clouds) -> list[float]:
     return [positive(size, "voxel_size")] * len(cloud)
 
 
-def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean points, colors and normals (float64) of the voxels of one cloud."""
+def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Mean points, colors and normals (float64) of the voxels of one cloud, and the numbers of their points."""
     points = cloud.points[begin:end].double()
     empty = points.new_zeros(0, 3)
     if begin == end:
-        return empty, empty, empty
+        return empty, empty, empty, empty[:, 0]
     cell = ((points - points.amin(dim=0)) / size + 0.5).floor()
     cells = cell.amax(dim=0) + 1
     expect(
@@ -179,4 +193,4 @@ def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tenso
         total.index_add_(0, number, values[begin:end].double()[order])
         return total.div_(divisor)
 
-    return mean(cloud.points), mean(cloud.colors), mean(cloud.normals)
+    return mean(cloud.points), mean(cloud.colors), mean(cloud.normals), count.double()

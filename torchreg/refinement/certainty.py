@@ -24,11 +24,11 @@ from torchreg.refinement.spread import CUT, FAINT
 INFLATION = 2.25
 """Of the jackknife's variances."""
 
+_GENUINE = 0.3  # share of the resistance to a motion: with less, surfaces do not hold it
+_LOOSE = 1e4  # times what noise suggests, the error of a motion that nothing holds
 _CELLS = (16.0, 8.0, 4.0, 2.0)  # spacings along a cell's edge: the first that gives enough cells
 _ENOUGH_CELLS = 30
 _LEAST_CELLS = 12  # twice the unknowns
-_LOOSE = 0.05  # strength below which a motion is not held: the noise of normals alone feigns half of it
-_UNHELD = 1e3  # times the size of the overlap: the deviation of such a motion
 
 
 class Certainty(NamedTuple):
@@ -46,7 +46,8 @@ class _Overlap(NamedTuple):
     """The surfels of one pair that lie on planes of the other, N of them."""
 
     point: Tensor  # (3, N) meters, in the centered frame of the target
-    normal: Tensor  # (3, N)
+    normal: Tensor  # (3, N) of the target's
+    own: Tensor  # (3, N) of the source's, on the same side
     distance: Tensor  # (N,) meters, to the planes
     deviation: Tensor  # (N,) meters, by which noise alone moves it
     share: Tensor  # (N,) of the distance at which surfels lose all weight, in (-1, 1)
@@ -73,7 +74,9 @@ def certainty(settling: Settling, number: int, spacing: float) -> Certainty:
     center = _means(shared.point)
     size = _means((shared.point - center[:, None]).square().sum(dim=0, keepdim=True)).sqrt()  # (1,)
     at = ((shared.point - center[:, None]) / size)[:, None]
-    J = jacobian(at, shared.normal[:, None], shared.distance[None])[:6, 0]  # (6, N), turns in units of 1 / size
+    J, other = (  # (6, N), turns in units of 1 / size
+        jacobian(at, normal[:, None], shared.distance[None])[:6, 0] for normal in (shared.normal, shared.own)
+    )
     units = torch.cat([1 / size.expand(3), torch.ones_like(size).expand(3)])
     estimates = [_Estimate(J, shared.point, shared.distance, shared.share, 1 / shared.deviation.square())]
     if shared.shade is not None and bool(shared.shade.deviation >= FAINT):
@@ -82,11 +85,10 @@ def certainty(settling: Settling, number: int, spacing: float) -> Certainty:
         rows = jacobian(at, slope[:, None], difference[None])[:6, 0]
         noise = (settling.spread.scale[number] / deviation).square().expand_as(difference)
         estimates.append(_Estimate(rows, shared.point, difference, bounded, noise))
-    covariance = INFLATION * _jackknife(estimates, spacing) * units[:, None] * units
-    resistance = _products(J, torch.ones_like(shared.distance))
-    if shared.shade is None:
-        covariance = covariance + _unheld(resistance / count, size) * units[:, None] * units
-    resisted = torch.diagonal(_inverse(resistance))
+    # where colors take part, what planes leave open is theirs to hold
+    growth = _growth(J, other, shared) if shared.shade is None else torch.eye(6, dtype=J.dtype, device=J.device)
+    covariance = INFLATION * growth @ _jackknife(estimates, spacing) @ growth.t() * units[:, None] * units
+    resisted = torch.diagonal(_inverse(_products(J, torch.ones_like(shared.distance))))
     held = (1 / (count * resisted)).clamp(min=0, max=1).sqrt()
     size_of = shared.distance.abs()
     residuals = torch.stack([size_of.median(), _means(size_of.square()[None])[0].sqrt(), _quantile(size_of, 0.95)])
@@ -113,9 +115,11 @@ def _overlap_of(settling: Settling, number: int) -> _Overlap:
     if shown.shades is not None and settling.spread.shade is not None:
         slope, difference = chosen(shown.shades.slope[:, rows]), chosen(shown.shades.difference[rows])
         shade = _Shade(slope, difference, settling.spread.shade[number])
+    normal, own = chosen(shown.normal[:, rows]), chosen(shown.turned[:, rows])
     return _Overlap(
         point=chosen(settling.matches.moved[:, rows]),
-        normal=chosen(shown.normal[:, rows]),
+        normal=normal,
+        own=torch.where((own * normal).sum(dim=0) < 0, -own, own),
         distance=chosen(shown.distance[rows]),
         deviation=chosen(deviation),
         share=chosen(share),
@@ -158,12 +162,24 @@ def _jackknife(estimates: Sequence[_Estimate], spacing: float) -> Tensor:
     return torch.where(sound, covariance, torch.nan)
 
 
-def _unheld(resistance: Tensor, size: Tensor) -> Tensor:
-    """The covariance (6, 6), meters, of motions that no plane resists, by the mean resistance (6, 6) of the planes."""
-    values, vectors = torch.linalg.eigh(resistance)
-    loose = torch.where(values < _LOOSE**2, (_UNHELD * size).square(), torch.zeros_like(values))
-    added: Tensor = (vectors * loose) @ vectors.t()
-    return added
+def _growth(J: Tensor, other: Tensor, shared: _Overlap) -> Tensor:
+    """What errors grow by (6, 6), since noise in the normals feigns resistance; NaN where a motion meets none.
+
+    Normals that noise tilts seem to resist motions that no surface holds, such as that along a corridor. The noise of
+    one cloud's normals has nothing to do with that of the other's: what both resist (J with ``other``, both (6, N)) is
+    genuine, as with an instrumental variable (Reiersol, 1941).
+    """
+    weight = ((1 - shared.share * shared.share) / shared.deviation).square()
+    values, vectors = torch.linalg.eigh(_products(J, weight))
+    root = values.clamp(min=0).sqrt()
+    whitened, back = (vectors / root) @ vectors.t(), (vectors * root) @ vectors.t()
+    both = row_sums(J[:, None] * other * weight)
+    if not bool(values[0] > 1e-12 * values[-1]):
+        return torch.full_like(both, torch.nan)
+    genuine, motions = torch.linalg.eigh(whitened @ ((both + both.t()) / 2) @ whitened)  # shares of the resistance
+    by = torch.where(genuine > _GENUINE, 1 / genuine.clamp(min=_GENUINE, max=1), _LOOSE)
+    growth: Tensor = whitened @ (motions * by) @ motions.t() @ back
+    return growth
 
 
 def _means(values: Tensor) -> Tensor:

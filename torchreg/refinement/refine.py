@@ -141,7 +141,7 @@ def _laid(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float], *
         if not reason and agreeing(settled, b) < _FEWER * agreeing(before, b):
             reason = WORSE
         pose, covariance = (settled.rotation[b], settled.translation[b]), known.covariance
-        if not reason and bool(torch.isfinite(covariance).all()):
+        if not reason:
             pose, covariance = _joined((R[b], t[b]), pose, known, _START * float(limit[b]))
         joined.append(pose)
         shown.append((reason, known, covariance))
@@ -169,6 +169,8 @@ def _objection(solvable: bool, known: Certainty, far: bool) -> str:
         return OPEN
     if not bool(torch.isfinite(known.residuals).all()):
         return FEW
+    if not bool(torch.isfinite(known.covariance).all()):
+        return OPEN
     return FARTHER if far else ""
 
 

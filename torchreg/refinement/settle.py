@@ -90,12 +90,14 @@ class SurfelPairs:
         extra = self._extra if extra is None else extra
         normal = matches.partner[3:6]
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
-        a, b, c = turned(rotation[matches.blocks.pair], extra[:3]).mul_(normal).unbind(0)
+        own = turned(rotation[matches.blocks.pair], extra[:3])
+        a, b, c = (own * normal).unbind(0)
         alike = matches.inside & (a.add_(b).add_(c).abs_() > _FACING)
         return Residuals(
             distance=x.add_(y).add_(z),
             variance=(extra[3] + matches.partner[6]).clamp_(min=1e-24),
             normal=normal,
+            turned=own,
             alike=alike,
             shades=shades_of(extra[4], matches, matches.partner[7:], alike, normal) if self._colored else None,
         )

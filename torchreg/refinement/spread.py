@@ -40,6 +40,7 @@ class Residuals(NamedTuple):
     distance: Tensor  # (k, 256) meters, of the means to the partners' planes
     variance: Tensor  # (k, 256) squared meters, that the noise of both surfels gives it
     normal: Tensor  # (3, k, 256) of the partners
+    turned: Tensor  # (3, k, 256) of the sources' surfels, turned into the target's frame, of either sign
     alike: Tensor  # (k, 256) bool, whether the two are within reach and face alike
     shades: Shades | None = None  # where colors take part
 

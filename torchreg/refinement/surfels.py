@@ -19,14 +19,16 @@ from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.morton import occupied_cells
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.neighborhoods.point_index import several_nearest
-from torchreg.preprocess import voxel_downsample
+from torchreg.preprocess.downsample import CountedVoxels, counted_voxels, in_morton_order, voxel_downsample
 from torchreg.types import Clouds
 from torchreg.types.packing import kept_rows, spans
 
 _NEIGHBORS = 16  # points of a plane
 _LEAST_NEIGHBORS = 6
 _FINER = 3.0  # a surfel's cube to the cubes of the points that make it, so that each covers its cube
+_FINEST = 2.0**-19  # of the extent, a surfel's cube: a third of it can still be numbered along three axes
 _FLAT = 0.1  # variance across a plane to the lesser one along it
+_THIN = 1e-6  # variance of points on one line, across it to along it, which have no plane
 _FLATTEST = 0.2  # share of the surfels that stays at least, the flattest ones
 _REACH = 2.0  # times the median distance to the last of the neighbors: what is farther belongs to other surfaces
 _FLOOR = 0.05  # of the median variance, added to each: few points may lie in a plane by chance
@@ -38,7 +40,7 @@ class Surfels:
 
     Attributes:
         cloud: B clouds of their means, in Z order, with normals of either sign, and colors where the clouds had them.
-        variance: (P,) squared meters, of the points of each about its plane; of the points' dtype.
+        variance: (P,) squared meters, of what each is the mean of, about its plane; of the points' dtype.
         spacing: B numbers, meters between neighboring surfels; 0 where a cloud has none.
     """
 
@@ -102,10 +104,12 @@ def _of_one(cloud: Clouds, count: int) -> Surfels:
         return Surfels(replace(empty, normals=bare), bare[:, 0], (0.0,))
     wide = cloud.to(dtype=torch.float64)
     edge = cube_edge(wide.points, count)
-    base = wide if edge is None else voxel_downsample(wide, edge / _FINER)
+    base, weight = _base(wide, edge)
+    if len(base.points) <= count:  # many points at few places
+        edge = None
     centers = base if edge is None else voxel_downsample(base, edge)
     near = several_nearest(centers.points, base.points, _NEIGHBORS)  # (N, K)
-    parts = [_planes(centers.points[rows], base, near[rows]) for rows in row_chunks(len(near), _NEIGHBORS)]
+    parts = [_planes(centers.points[rows], base, weight, near[rows]) for rows in row_chunks(len(near), _NEIGHBORS)]
     mean, normal, variances, reach, colors = (torch.cat(part) for part in zip(*parts, strict=True))
     far = _REACH * reach.median()
     kept = _flattest(variances, reach <= far)
@@ -121,6 +125,16 @@ def _of_one(cloud: Clouds, count: int) -> Surfels:
     return Surfels(made, variance[kept].to(dtype), (apart,))
 
 
+def _base(cloud: Clouds, edge: float | None) -> CountedVoxels:
+    """What surfels are made of: means over a finer grid than theirs, so that they stand evenly, or all points.
+
+    Each counts as often as it has points: a voxel that holds a surface's few farthest ones would else pull it away.
+    """
+    if edge is not None:
+        return counted_voxels(cloud, edge / _FINER)
+    return CountedVoxels(in_morton_order(cloud), cloud.points.new_ones(len(cloud.points)))
+
+
 def cube_edge(points: Tensor, count: int) -> float | None:
     """Meters: the edge of cubes of which the points (P, 3) fill about ``count``; ``None`` for no more points than that.
 
@@ -131,35 +145,43 @@ def cube_edge(points: Tensor, count: int) -> float | None:
     extent = float((points.amax(dim=0) - points.amin(dim=0)).amax())
     filled = occupied_cells(points)
     finer = next((level for level, cells in enumerate(filled) if cells > count), None)
-    if finer is None or finer == 0 or extent == 0:  # many points at few places
-        return max(extent, 1e-9) / float(2 ** (len(filled) - 1))
+    if finer is None:  # many points at few places
+        return max(extent, 1e-9) * _FINEST
     coarse, fine = filled[finer - 1], filled[finer]
     share = math.log(count / coarse) / math.log(fine / coarse)
-    return extent / float(2 ** (finer - 1 + share))
+    return extent * max(_FINEST, math.pow(2, 1 - finer - share))
 
 
-def _planes(centers: Tensor, base: Clouds, near: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+def _planes(
+    centers: Tensor, base: Clouds, weight: Tensor, near: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Means (r, 3), normals (r, 3), ascending variances (r, 3), squared reach (r,) and mean colors (r, 3) of some rows.
 
-    The planes of neighbors (r, K), rows of ``base``, about centers (r, 3).
+    The planes of neighbors (r, K), rows of ``base`` with weights (P,), about centers (r, 3).
     """
     neighbors = near.shape[1]
+    weights = weight[near]  # (r, K)
+    total = weights.sum(dim=1)
     apart = [base.points[:, axis][near] - centers[:, axis, None] for axis in range(3)]  # 3 x (r, K)
     reach = (apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2).amax(dim=1)
-    mean = [axis.sum(dim=1) / neighbors for axis in apart]
+    mean = [(axis * weights).sum(dim=1) / total for axis in apart]
     apart = [axis - middle[:, None] for axis, middle in zip(apart, mean, strict=True)]
+    freedom = total * (max(1, neighbors - 3) / neighbors)
     spread = centers.new_empty(len(centers), 3, 3)
     for i in range(3):
         for j in range(i, 3):
-            spread[:, i, j] = (apart[i] * apart[j]).sum(dim=1) / max(1, neighbors - 3)
+            spread[:, i, j] = (apart[i] * apart[j] * weights).sum(dim=1) / freedom
     values, vectors = symmetric_eigen(spread)
-    colors = centers if base.colors is None else base.colors[near].sum(dim=1) / neighbors
+    colors = centers
+    if base.colors is not None:
+        colors = (base.colors[near] * weights[:, :, None]).sum(dim=1) / total[:, None]
     return centers + torch.stack(mean, dim=1), vectors[:, :, 0].contiguous(), values.clamp(min=0), reach, colors
 
 
 def _flattest(variances: Tensor, near: Tensor) -> Tensor:
     """(N,) bool: which surfels are planes; a share of them where few are, as in a wood."""
-    ratio = torch.where(variances[:, 1] > 0, variances[:, 0] / variances[:, 1].clamp(min=1e-300), torch.inf)
+    planar = variances[:, 1] > _THIN * variances[:, 2]
+    ratio = torch.where(planar, variances[:, 0] / variances[:, 1].clamp(min=1e-300), torch.inf)
     ratio = torch.where(near & torch.isfinite(variances).all(dim=1), ratio, torch.inf)
     place = max(0, math.ceil(_FLATTEST * len(ratio)) - 1)
     bound = ratio.sort().values[place].clamp(min=_FLAT)
