@@ -10,7 +10,7 @@ on simulated scans (bench/refinement.py).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -90,14 +90,24 @@ def certainty(settling: Settling, number: int, spacing: float) -> Certainty:
     covariance = INFLATION * growth @ _jackknife(estimates, spacing) @ growth.t() * units[:, None] * units
     resisted = torch.diagonal(_inverse(_products(J, torch.ones_like(shared.distance))))
     held = (1 / (count * resisted)).clamp(min=0, max=1).sqrt()
-    size_of = shared.distance.abs()
-    residuals = torch.stack([size_of.median(), _means(size_of.square()[None])[0].sqrt(), _quantile(size_of, 0.95)])
-    return Certainty(residuals, shared.of_all, covariance, center, held, size[0])
+    return Certainty(_residuals(shared), shared.of_all, covariance, center, held, size[0])
+
+
+def residuals(settling: Settling, number: int) -> Tensor:
+    """The residuals of pair ``number`` alone, as in ``Certainty``."""
+    return _residuals(_overlap_of(settling, number))
 
 
 def agreeing(settling: Settling, number: int) -> int:
     """How many surfels of the source of pair ``number`` lie on the target's."""
     return len(_overlap_of(settling, number).distance)
+
+
+def _residuals(shared: _Overlap) -> Tensor:
+    apart = shared.distance.abs()
+    if len(apart) < _LEAST_CELLS:
+        return apart.new_full((3,), torch.nan)
+    return torch.stack([apart.median(), _means(apart.square()[None])[0].sqrt(), _quantile(apart, 0.95)])
 
 
 def _overlap_of(settling: Settling, number: int) -> _Overlap:
@@ -139,13 +149,27 @@ class _Estimate(NamedTuple):
 
 
 def _jackknife(estimates: Sequence[_Estimate], spacing: float) -> Tensor:
-    """The covariance (6, 6) of the estimate from rows of several kinds; NaN where there are few cells."""
+    """The covariance (6, 6) of the estimate from rows of several kinds; NaN where there are few cells.
+
+    How stiff the estimate is follows from the slope of Tukey's influence. Where so many residuals are near the cut that
+    some motion meets a falling slope, half of the weights stand for it.
+    """
+    covariance = _left_out(estimates, spacing, lambda squares: (1 - squares) * (1 - 5 * squares))
+    if covariance is None:
+        covariance = _left_out(estimates, spacing, lambda squares: 0.5 * (1 - squares).square())
+    return estimates[0].J.new_full((6, 6), torch.nan) if covariance is None else covariance
+
+
+def _left_out(estimates: Sequence[_Estimate], spacing: float, stiffness: Callable[[Tensor], Tensor]) -> Tensor | None:
+    """The spread (6, 6) of the estimates without each cell; ``None`` where cells are few or a motion meets nothing.
+
+    ``stiffness`` is that of rows by the squares of their shares.
+    """
     values = []
     for J, _, residual, share, per_noise in estimates:
         squares = share * share
-        stiffness = (1 - squares) * (1 - 5 * squares) * per_noise  # the slope of Tukey's influence
         pulls = J * ((1 - squares) ** 2 * per_noise * residual)  # (6, N)
-        values.append(torch.cat([pulls, (J[:, None] * J * stiffness).view(36, -1)]))
+        values.append(torch.cat([pulls, (J[:, None] * J * (stiffness(squares) * per_noise)).view(36, -1)]))
     points = torch.cat([each.point for each in estimates], dim=1)
     rows = torch.cat(values, dim=1)  # (42, all N)
     for cells in _CELLS:
@@ -153,13 +177,13 @@ def _jackknife(estimates: Sequence[_Estimate], spacing: float) -> Tensor:
         if len(sums) >= _ENOUGH_CELLS:
             break
     if len(sums) < _LEAST_CELLS:
-        return points.new_full((6, 6), torch.nan)
+        return None
     pull, own = sums[:, :6], sums[:, 6:].view(-1, 6, 6)
     whole = own.cumsum(dim=0)[-1]
     moved = torch.linalg.solve_ex(whole - own, pull)[0]  # (C, 6), the update without each cell
     covariance = (moved[:, :, None] * moved[:, None]).cumsum(dim=0)[-1] * ((len(moved) - 1) / len(moved))
     sound = (torch.linalg.eigvalsh(whole)[0] > 0) & torch.isfinite(covariance).all()
-    return torch.where(sound, covariance, torch.nan)
+    return covariance if bool(sound) else None
 
 
 def _growth(J: Tensor, other: Tensor, shared: _Overlap) -> Tensor:

@@ -15,14 +15,14 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import shared_out
-from torchreg.refinement.certainty import Certainty, agreeing, certainty
+from torchreg.refinement.certainty import Certainty, agreeing, certainty, residuals
 from torchreg.refinement.pairing import Pairing, enter, leave
 from torchreg.refinement.settle import Settling, SurfelPairs
 from torchreg.refinement.spread import FAINT
 from torchreg.refinement.surfels import Surfels
 
-_START = 0.25  # of the reach: the deviation of a pose to start from, at the size of the overlap
-_FARTHEST = 1.5  # times the reach, that a pose may move
+_START = 0.15  # of the reach: the deviation of a pose to start from, at the size of the source
+_FARTHEST = 0.8  # of the reach, that a pose may move
 _FEWER = 0.8  # of the surfels that lay on each other before, at least
 _ALIKE = 0.8  # of the contrast, that the intensities of partners differ by at most: a correlation of 0.7
 _SLIDES = 0.05  # of the strength by axis: below it colors take part
@@ -30,7 +30,7 @@ _GROUP = 200_000  # surfels of the sources of a group
 
 FEW = "too few flat places to refine it on"
 OPEN = "the flat places of the overlap leave its motion open"
-FARTHER = "flat places would move it far beyond the inlier threshold"
+FARTHER = "flat places would move it by about the inlier threshold"
 COLORLESS = "colors do not tell more"
 WORSE = "fewer flat places would lie on each other"
 
@@ -90,7 +90,7 @@ def residuals_under(source: Surfels, target: Surfels, T_target_source: Tensor, s
         if not skipped[b] and min(len(one.cloud.points), len(other.cloud.points)) > 0:
             pairs = SurfelPairs(one, other, Pairing([0], [0]))
             seen = pairs.seen(*enter(pairs.frames, T_target_source[b : b + 1]))
-            out[b] = certainty(seen, 0, float(pairs.spacing[0])).residuals
+            out[b] = residuals(seen, 0)
     return out
 
 
@@ -131,28 +131,28 @@ def _laid(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float], *
     limit = torch.tensor(reach, dtype=torch.float64, device=T.device)
     settled = pairs.settle(R, t, limit)
     before = pairs.seen(R, t, settled.spread)
-    moved = pairs.displacement(range(len(source)), settled.rotation, settled.translation, R, t)
-    joined, shown = [], []
-    for b in range(len(source)):
-        known = certainty(settled, b, float(pairs.spacing[b]))
-        reason = _objection(settled.solvable[b], known, bool(moved[b] > _FARTHEST * limit[b]))
+    known = [certainty(settled, b, float(pairs.spacing[b])) for b in range(len(source))]
+    reasons = [_objection(solvable, one) for solvable, one in zip(settled.solvable, known, strict=True)]
+    rotation, translation, covariance = R.clone(), t.clone(), [one.covariance for one in known]
+    for b, one in enumerate(known):
+        if not reasons[b]:
+            pose = (settled.rotation[b], settled.translation[b])
+            (rotation[b], translation[b]), covariance[b] = _joined(
+                (R[b], t[b]), pose, one, _START * float(limit[b]), pairs.sizes[b]
+            )
+    moved = pairs.displacement(range(len(source)), rotation, translation, R, t)
+    poses, middle = leave(pairs.frames, rotation, translation), pairs.frames.target_center + pairs.frames.target_origin
+    made = []
+    for b, one in enumerate(known):
         if colored and not _colors_agree(settled, b):
-            reason = COLORLESS
-        if not reason and agreeing(settled, b) < _FEWER * agreeing(before, b):
-            reason = WORSE
-        pose, covariance = (settled.rotation[b], settled.translation[b]), known.covariance
-        if not reason:
-            pose, covariance = _joined((R[b], t[b]), pose, known, _START * float(limit[b]))
-        joined.append(pose)
-        shown.append((reason, known, covariance))
-    poses = leave(pairs.frames, torch.stack([pose[0] for pose in joined]), torch.stack([pose[1] for pose in joined]))
-    middle = pairs.frames.target_center + pairs.frames.target_origin
-    return [
-        _unrefined(T[b], reason)
-        if reason
-        else _One(poses[b], "", known.residuals, covariance, known.center + middle[b], known.held)
-        for b, (reason, known, covariance) in enumerate(shown)
-    ]
+            reasons[b] = COLORLESS
+        elif not reasons[b] and bool(moved[b] > _FARTHEST * limit[b]):
+            reasons[b] = FARTHER
+        elif not reasons[b] and agreeing(settled, b) < _FEWER * agreeing(before, b):
+            reasons[b] = WORSE
+        figures = (one.residuals, covariance[b], one.center + middle[b], one.held)
+        made.append(_unrefined(T[b], reasons[b]) if reasons[b] else _One(poses[b], "", *figures))
+    return made
 
 
 def _colors_agree(settled: Settling, b: int) -> bool:
@@ -163,24 +163,23 @@ def _colors_agree(settled: Settling, b: int) -> bool:
     return bool((deviation[b] >= FAINT) & (deviation[b] < _ALIKE * shades.contrast[b]))
 
 
-def _objection(solvable: bool, known: Certainty, far: bool) -> str:
-    """Why a settled pose is not to be taken, empty where it is."""
+def _objection(solvable: bool, known: Certainty) -> str:
+    """Why a settled pose is no estimate at all, empty where it is one."""
     if not solvable:
         return OPEN
     if not bool(torch.isfinite(known.residuals).all()):
         return FEW
-    if not bool(torch.isfinite(known.covariance).all()):
-        return OPEN
-    return FARTHER if far else ""
+    return "" if bool(torch.isfinite(known.covariance).all()) else OPEN
 
 
 Pose = tuple[Tensor, Tensor]
 """R (3, 3) and t (3,), float64, between the centered frames."""
 
 
-def _joined(start: Pose, settled: Pose, known: Certainty, deviation: float) -> tuple[Pose, Tensor]:
+def _joined(start: Pose, settled: Pose, known: Certainty, deviation: float, size: Tensor) -> tuple[Pose, Tensor]:
     """The pose between start and settled that their covariances make the most likely, and its covariance."""
-    prior = torch.cat([(deviation / known.size).square().expand(3), torch.full_like(known.center, deviation**2)])
+    far = torch.maximum(known.size, size)  # the pose was found on the whole clouds, not on their flat places alone
+    prior = torch.cat([(deviation / far).square().expand(3), torch.full_like(known.center, deviation**2)])
     unit = prior.sqrt()  # both covariances in units of the start's, where that is the identity
     own = known.covariance / unit[:, None] / unit
     values, vectors = torch.linalg.eigh(own)

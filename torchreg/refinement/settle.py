@@ -78,6 +78,10 @@ class SurfelPairs:
         spacings = [max(source.spacing[one], target.spacing[other]) for one, other in zip(*pairing, strict=True)]
         self.spacing = torch.tensor(spacings, dtype=torch.float64, device=device)
         self.nearest = _NEAREST * self.spacing
+        x, y, z = self._points.unbind(0)
+        squares = self.blocks.sums(lambda chunk: (x[chunk] ** 2 + y[chunk] ** 2 + z[chunk] ** 2)[None], 1)[:, 0]
+        # (B,) root mean square distances of the sources' surfels from their centers
+        self.sizes = (squares / torch.tensor(self.lengths, device=device)).sqrt()
 
     def matched(self, rotation: Tensor, translation: Tensor, reach: Tensor) -> Correspondence:
         """The correspondences under poses of all pairs, within ``reach`` (B,) meters."""
@@ -148,17 +152,10 @@ class SurfelPairs:
 
     def displacement(self, pairs: Sequence[int], R: Tensor, t: Tensor, R0: Tensor, t0: Tensor) -> Tensor:
         """Meters (B,) by which sources move from one pose to another, about their root mean square."""
-        sizes = self._sizes[list(pairs)]
+        sizes = self.sizes[list(pairs)]
         turn = (R - R0).square().sum(dim=(1, 2)).div(2).sqrt()  # radians, where they are few
         moved: Tensor = (t - t0).norm(dim=1) + turn * sizes
         return moved
-
-    @property
-    def _sizes(self) -> Tensor:
-        """Root mean square distances (B,) of the sources' surfels from their centers."""
-        x, y, z = self._points.unbind(0)
-        total = self.blocks.sums(lambda chunk: (x[chunk] ** 2 + y[chunk] ** 2 + z[chunk] ** 2)[None], 1)[:, 0]
-        return (total / torch.tensor(self.lengths, device=total.device)).sqrt()
 
     def _target_of(self, target: Surfels) -> Target:
         cloud, columns = target.cloud, _plane_columns(target)

@@ -30,7 +30,7 @@ _FINEST = 2.0**-19  # of the extent, a surfel's cube: a third of it can still be
 _FLAT = 0.1  # variance across a plane to the lesser one along it
 _THIN = 1e-6  # variance of points on one line, across it to along it, which have no plane
 _FLATTEST = 0.2  # share of the surfels that stays at least, the flattest ones
-_REACH = 2.0  # times the median distance to the last of the neighbors: what is farther belongs to other surfaces
+_REACH = 2.0  # times the median squared distance to the last neighbor: what is farther belongs to other surfaces
 _FLOOR = 0.05  # of the median variance, added to each: few points may lie in a plane by chance
 
 
