@@ -141,7 +141,8 @@ def _growth(J: Tensor, other: Tensor, shared: _Overlap) -> Tensor:
         return torch.full_like(both, torch.nan)
     genuine, motions = torch.linalg.eigh(whitened @ ((both + both.t()) / 2) @ whitened)  # shares of the resistance
     by = torch.where(genuine > _GENUINE, 1 / genuine.clamp(min=_GENUINE, max=1), _LOOSE)
-    return whitened @ (motions * by) @ motions.t() @ back
+    growth: Tensor = whitened @ (motions * by) @ motions.t() @ back
+    return growth
 
 
 def _means(values: Tensor) -> Tensor:
