@@ -44,7 +44,7 @@ class Residuals(NamedTuple):
     alike: Tensor  # (k, 256) bool, whether the two are within reach and face alike
 
 
-class Spread(NamedTuple):
+class Scatter(NamedTuple):
     """How far the surfels of B pairs lie from the planes of their partners, but for those that have none."""
 
     scale: Tensor  # (B,) float64, standard deviation of the residuals in units of their ``deviations``
@@ -56,7 +56,7 @@ class Settling(NamedTuple):
 
     matches: Correspondence  # of the pairs, in their order
     residuals: Residuals  # of all blocks
-    spread: Spread  # of the B pairs
+    spread: Scatter  # of the B pairs
     rotation: Tensor  # (B, 3, 3) float64, between the centered frames
     translation: Tensor  # (B, 3) float64
     solvable: list[bool]  # whether the surfels determine the motion
@@ -143,7 +143,7 @@ class SurfelPairs:
             matches.move(R[matches.pairs], t[matches.pairs])
         return self.seen(R, t)._replace(solvable=solvable, updates=updates)
 
-    def seen(self, rotation: Tensor, translation: Tensor, spread: Spread | None = None) -> Settling:
+    def seen(self, rotation: Tensor, translation: Tensor, spread: Scatter | None = None) -> Settling:
         """Poses (B, 3, 3), (B, 3) as they are; ``spread`` where the residuals' own is not wanted."""
         matches = self.matched(rotation, translation, self.nearest)
         shown = self.residuals(matches, rotation)
@@ -188,18 +188,18 @@ def _plane_columns(surfels: Surfels) -> Tensor:
     return torch.cat([cloud.normals, surfels.variance[:, None]], dim=1).double()
 
 
-def deviations(shown: Residuals, spread: Spread, blocks: Blocks) -> Tensor:
+def deviations(shown: Residuals, spread: Scatter, blocks: Blocks) -> Tensor:
     """The standard deviations (n, 256) of the residuals by noise and excess, meters."""
     return (shown.variance + spread.excess[blocks.pair][:, None]).sqrt_()
 
 
-def _spread(shown: Residuals, blocks: Blocks) -> Spread:
+def _spread(shown: Residuals, blocks: Blocks) -> Scatter:
     """The spread of every pair, from medians, which what moved does not reach."""
     distance = shown.distance.abs()
     whole = (_DEVIATION * _medians(distance, shown.alike, blocks)).square()
     excess = (whole - _medians(shown.variance, shown.alike, blocks)).clamp(min=0)
-    relative = distance / deviations(shown, Spread(excess, excess), blocks)
-    return Spread((_DEVIATION * _medians(relative, shown.alike, blocks)).clamp(min=1e-12), excess)
+    relative = distance / deviations(shown, Scatter(excess, excess), blocks)
+    return Scatter((_DEVIATION * _medians(relative, shown.alike, blocks)).clamp(min=1e-12), excess)
 
 
 def _medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
@@ -213,7 +213,7 @@ def _medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
     return torch.stack(medians)
 
 
-def _sums(shown: Residuals, matches: Correspondence, spread: Spread) -> Tensor:
+def _sums(shown: Residuals, matches: Correspondence, spread: Scatter) -> Tensor:
     """The sums (B, 28) of the normal equations."""
     blocks = matches.blocks
     cut = CUT * spread.scale[blocks.pair][:, None]
