@@ -13,6 +13,7 @@ from torchreg.neighborhoods.coverage import coverage
 from torchreg.open3d_loader import load_open3d
 from torchreg.registration import register_described
 from torchreg.registration.describe import describe_by, description_of
+from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import REFINEMENTS
 
 FIGURES = ("residual_median", "residual_rms", "residual_95", "covariance", "center", "axis_strength")
@@ -193,3 +194,37 @@ def test_an_unknown_refinement_is_refused():
         tr.register(pair.source, pair.target, refine="fine")
     with refuses("refine_points", "100", "99"):
         tr.RegistrationOptions(refine_points=99)
+
+
+def test_a_pose_that_covers_less_is_not_taken(monkeypatch):
+    from torchreg.registration import refined
+
+    pair = room_pair(900)
+    none = tr.register(pair.source, pair.target, refine="none")
+    refine_on_surfels = refined.refine_on_surfels
+
+    def astray(*arguments):
+        done = refine_on_surfels(*arguments)
+        return done._replace(T_target_source=turned(0.0, translation=(0.6, 0.6, 0.6)) @ done.T_target_source)
+
+    monkeypatch.setattr(refined, "refine_on_surfels", astray)
+    result = tr.register(pair.source, pair.target)
+    for name in ("T_target_source", "inliers", "fitness", "inlier_rmse", "success"):
+        assert same_bits(getattr(result, name), getattr(none, name))
+    assert result.notes == (("the pose is not refined: the thinned clouds would cover each other less",),)
+    assert all(bool(getattr(result, name).isnan().all()) for name in FIGURES)
+
+
+def test_described_clouds_bring_their_surfels_along():
+    clouds = tr.Clouds.pack([room_pair(size).source for size in (300, 500)])
+    options = replace(tr.options_for(0.2), refine_points=200)
+    both = describe_by(clouds, [description_of(options, colored=True)] * 2)
+    parts = both.unpack()
+    assert same_bits(DescribedClouds.pack(parts).surfels, both.surfels)
+    assert same_bits((both.clone().surfels, both.to("cpu").surfels), (both.surfels, both.surfels))
+    left = both.without([True, False]).surfels
+    assert left.cloud.lengths[0] == 0
+    assert same_bits(left.unpack()[1].cloud.points, parts[1].surfels.cloud.points)
+    bare = describe_by(clouds, [description_of(replace(options, refine="none"), colored=True)] * 2)
+    assert bare.surfels is None
+    assert DescribedClouds.pack(bare.unpack()).clone().without([True, False]).surfels is None
