@@ -17,7 +17,7 @@ from torchreg.settings import PairSettings, Settings, StageSettings
 
 SETTINGS = declared(PairSettings)
 COMMANDS = {"register": Settings, "batch": PairSettings, "check": StageSettings}
-CELLS = {int: "7", float: "0.5", bool: "yes", str: "none"}
+CELLS = {int: "700", float: "0.5", bool: "yes", str: "none"}
 
 
 def options_of(command):

@@ -18,15 +18,18 @@ OPTIONS = replace(tr.PAPER, normal_radius=0.5, feature_radius=1.2, feature_max_n
 
 @pytest.mark.parametrize("colored", [True, False])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_what_is_written_comes_back(tmp_path, colored, dtype):
+@pytest.mark.parametrize("refine", ["none", "full"])
+def test_what_is_written_comes_back(tmp_path, colored, dtype, refine):
     cloud = room_pair(300, dtype=dtype).source
     cloud = replace(cloud, colors=cloud.colors if colored else None, viewpoint=cloud.viewpoint if colored else None)
-    described = describe_clouds(cloud, OPTIONS)
+    described = describe_clouds(cloud, replace(OPTIONS, refine=refine))
     write_described(tmp_path / "one.pt", described)
     again = read_described(tmp_path / "one.pt", described.descriptions[0])
     assert same_bits(again.cloud, described.cloud)
     assert same_bits(again.features, described.features)
     assert again.descriptions == described.descriptions
+    assert (again.surfels is None) == (refine == "none")
+    assert same_bits(again.surfels, described.surfels)
     assert (again.spacing, again.facts) == (described.spacing, described.facts)
 
 
@@ -71,6 +74,10 @@ def test_names_differ_where_anything_does():
     options = [OPTIONS, *(replace(OPTIONS, **{name: 0.7}) for name in ("voxel_size", "normal_radius", "color_radius"))]
     options = [description_of(option, colored=colored) for option in options for colored in (True, False)]
     options.remove(options[-1])  # without colors their radius is in no description
+    refined = [replace(OPTIONS, refine=each) for each in ("coarse", "full")] + [
+        replace(OPTIONS, refine="full", refine_points=500)
+    ]
+    options += [description_of(option, colored=True) for option in refined]
     devices = ("cpu", "cuda")
     names = {described_name(digest, option, device) for digest in digests for option in options for device in devices}
     assert len(names) == len(digests) * len(options) * len(devices)

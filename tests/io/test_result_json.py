@@ -147,6 +147,7 @@ def test_the_pose_of_a_refused_pair_has_a_key_of_its_own(tmp_path):
     assert result_to_dict(verified_result(), **NAMES)["likeliest_T_target_source"] is None
 
 
+REFINED = ("residual_median", "residual_rms", "residual_95", "covariance", "center", "axis_strength")
 KEYS = [
     *("source", "target", "success", "reason", "failure", "notes", "T_target_source", "quaternion", "translation"),
     "likeliest_T_target_source",
@@ -159,8 +160,9 @@ KEYS = [
         "information",
         "runner_up",
         "margin",
-        "candidates",
     ),
+    *REFINED,
+    "candidates",
     *("stages", "counts", "seed", "options", "seconds", "versions"),
 ]
 
@@ -186,10 +188,23 @@ def test_what_weighing_the_pose_gave(tmp_path):
     assert found["options"]["match_neighbors"] == OPTIONS.match_neighbors
 
 
+def test_what_refining_the_pose_gave():
+    figures = {
+        **{name: torch.tensor([place / 1000], dtype=torch.float64) for place, name in enumerate(REFINED[:3], start=1)},
+        "covariance": 1e-8 * torch.eye(6, dtype=torch.float64)[None],
+        "center": torch.tensor([[1.0, 2.0, 3.0]], dtype=torch.float64),
+        "axis_strength": torch.linspace(0, 0.5, 6, dtype=torch.float64)[None],
+    }
+    found = result_to_dict(verified_result(**figures), **NAMES)
+    assert {name: found[name] for name in REFINED} == {name: value[0].tolist() for name, value in figures.items()}
+    unrefined = result_to_dict(verified_result(**{name: value * math.nan for name, value in figures.items()}), **NAMES)
+    assert json.dumps(unrefined["covariance"]) == json.dumps(unrefined["residual_median"]) == "null"
+
+
 def test_numbers_that_are_not_there_are_none():
     none = result_to_dict(bare_result(), **NAMES)
     assert list(none) == KEYS
-    for key in ("probability", "overlap", "strength", "information", "runner_up", "margin", "stages"):
+    for key in ("probability", "overlap", "strength", "information", "runner_up", "margin", *REFINED, "stages"):
         assert none[key] is None
     assert none["candidates"] == []
     nan = torch.full((1, 4, 4), float("nan"), dtype=torch.float64)

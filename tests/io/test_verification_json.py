@@ -19,7 +19,8 @@ def content_of(result, pair=0):
 def test_every_field_is_there_as_it_is():
     result = verification()
     content = content_of(result)
-    for name in ("T_target_source", "settled", "likeliest", "probability", "deviation_meters", "deviation_degrees"):
+    names = ("T_target_source", "settled", "likeliest", "probability", "deviation_meters", "deviation_degrees")
+    for name in (*names, "residual_median", "residual_rms", "residual_95"):
         assert content[name] == getattr(result, name)[0].tolist()
     assert (content["success"], content["reason"], content["failure"]) == (True, "", None)
     assert content["candidate"]["overlap"] == 0.47
@@ -37,13 +38,22 @@ def test_what_there_is_not_is_null():
         settled=nowhere,
         likeliest=nowhere,
         deviation_meters=number(math.nan),
+        residual_median=number(math.nan),
         candidate=(None,),
         settled_candidate=(None,),
         rival=(None,),
         search=failed_result("too few points"),
     )
     content = content_of(result)
-    for name in ("settled", "likeliest", "deviation_meters", "candidate", "settled_candidate", "rival"):
+    for name in (
+        "settled",
+        "likeliest",
+        "deviation_meters",
+        "residual_median",
+        "candidate",
+        "settled_candidate",
+        "rival",
+    ):
         assert content[name] is None
     assert content["failure"] == {"kind": "too few points", "figures": {"points": 2}}
     assert content["reason"] == "too few points: 2"

@@ -168,6 +168,8 @@ def test_the_stages_are_timed_in_order():
     before = ("options", "downsample", "neighbors and normals", "descriptors", "matching")
     assert names == (*before, "hypotheses", "decision")
     assert all(second >= 0 for second in seconds)
+    names, _ = zip(*tr.register(pair.source, pair.target, ROOM, refine="full").seconds, strict=True)
+    assert names == (*before[:-1], "surfels", "matching", "hypotheses", "decision", "refinement")
 
 
 def test_swapped_clouds_give_about_the_inverse():

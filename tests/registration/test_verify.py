@@ -52,7 +52,9 @@ def test_a_transform_near_the_right_one_is_right_and_how_far_off_is_told(room, t
     assert float(result.deviation_meters[0]) == pytest.approx(abs(meters), abs=0.1 * threshold)
     assert rms(result.settled[0], T, source) < 0.1 * threshold
     assert rms(result.settled[0], result.likeliest[0], source) < 0.1 * threshold
-    assert torch.equal(result.settled_candidate[0].T_target_source, result.settled[0])
+    assert rms(result.settled_candidate[0].T_target_source, result.settled[0], source) < 0.1 * threshold
+    coarse = tr.verify(source, target, compose(shift(meters), T), refine="none")
+    assert torch.equal(coarse.settled_candidate[0].T_target_source, coarse.settled[0])
 
 
 def test_the_deviation_is_the_distance_that_the_points_move(room):

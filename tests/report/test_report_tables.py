@@ -1,11 +1,12 @@
 """Tables and texts."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 from problems import room_pair
-from results import bare_result, failed_result, verified_result
+from results import bare_result, failed_result, number, verified_result
 from rich.console import Console
 
 import torchreg as tr
@@ -95,7 +96,9 @@ def test_the_errors_of_a_refused_pose_are_called_that():
 def test_titles_of_pictures():
     good, refused = verified_result(), failed_result("ambiguous", "ambiguous: two poses, and figures")
     assert picture_title("a to b", good) == "a to b: registered, probability 0.998"
-    assert picture_title("a to b", good, residual=0.0123) == "a to b: registered, probability 0.998, residual 0.0123 m"
+    refined, unrefined = (verified_result(residual_median=number(value)) for value in (0.0123, math.nan))
+    assert picture_title("a to b", refined) == "a to b: registered, probability 0.998, residual 12 mm"
+    assert picture_title("a to b", unrefined) == picture_title("a to b", good)
     assert picture_title("a to b", refused) == "a to b: not registered (ambiguous), probability 0.070"
     assert picture_title("a to b", bare_result()) == "a to b: registered"
 

@@ -71,7 +71,8 @@ def demo(
         pair = mall(seed, angular_step=angular_step)
     default = derive_options(pair.source, pair.target)[0]
     paper = replace(PAPER, voxel_size=default.voxel_size)
-    plain = replace(default, solver=RansacOptions(inlier_threshold=default.inlier_threshold), effort="plain")
+    ransac = RansacOptions(inlier_threshold=default.inlier_threshold)
+    plain = replace(default, solver=ransac, effort="plain", refine="none")
     runs: list[tuple[str, RegistrationOptions]] = [
         ("paper: FPFH alone", paper.without_color()),
         ("paper: FPFH + PCFH", paper),

@@ -150,7 +150,7 @@ def compare(
         truth = truth.detach().to("cpu", torch.float64)
     source, target = source.to("cpu"), target.to("cpu")
     options = derive_options(source, target)[0] if options is None else options
-    options = replace(options, match_neighbors=1, solver=options.solver_named("ransac"), effort="plain")
+    options = replace(options, match_neighbors=1, solver=options.solver_named("ransac"), effort="plain", refine="none")
     if features == "fpfh":
         options = options.without_color()
     given = source

@@ -119,7 +119,6 @@ def describe_thin(thin: Clouds, descriptions: Sequence[Description], max_bytes: 
     return DescribedClouds.pack(parts)
 
 
-@stage("surfels")
 def surfels(given: Clouds, thin: Clouds, descriptions: Sequence[Description]) -> Surfels | None:
     """The surfels of B clouds to refine poses on, of the clouds as given or of the thinned ones; ``None`` without.
 
@@ -127,7 +126,12 @@ def surfels(given: Clouds, thin: Clouds, descriptions: Sequence[Description]) ->
     """
     if not descriptions or descriptions[0].refine == "none":
         return None
-    return surfels_of(given if descriptions[0].refine == "full" else thin, descriptions[0].refine_points)
+    return _made(given if descriptions[0].refine == "full" else thin, descriptions[0].refine_points)
+
+
+@stage("surfels")
+def _made(clouds: Clouds, count: int) -> Surfels:
+    return surfels_of(clouds, count)
 
 
 @stage("downsample")

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.neighborhoods.coverage import Coverage, coverage
 from torchreg.refinement.refine import Refined, refine_on_surfels, residuals_under
+from torchreg.refinement.surfels import Surfels
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
@@ -32,7 +33,6 @@ class _Fit(NamedTuple):
     inliers: Tensor  # (M,) bool, of its matches
 
 
-@stage("refinement")
 def refined(
     source: DescribedClouds,
     target: DescribedClouds,
@@ -45,9 +45,16 @@ def refined(
     """
     if source.surfels is None or target.surfels is None:
         return result, ((),) * len(result)
+    return _refined(source.surfels, target.surfels, result, options)
+
+
+@stage("refinement")
+def _refined(
+    source: Surfels, target: Surfels, result: RegistrationResult, options: Sequence[RegistrationOptions]
+) -> tuple[RegistrationResult, Notes]:
     thresholds = [option.inlier_threshold for option in options]
     failed = [failure is not None for failure in result.failure]
-    done = refine_on_surfels(source.surfels, target.surfels, result.T_target_source, thresholds, failed)
+    done = refine_on_surfels(source, target, result.T_target_source, thresholds, failed)
     fitness, rmse, inliers = result.fitness.clone(), result.inlier_rmse.clone(), result.inliers.clone()
     rows, reasons, kept = spans(result.correspondences.offsets), list(done.reason), [False] * len(result)
     for b, (one, other) in enumerate(zip(result.source.unpack(), result.target.unpack(), strict=True)):

@@ -24,7 +24,8 @@ from torchreg.registration.register import find_poses
 from torchreg.registration.stopwatch import stopwatch
 from torchreg.types import Clouds, RegistrationResult, Verification
 from torchreg.verification import WORK
-from torchreg.verification.given import GivenVerdict
+from torchreg.verification.given import GivenVerdict, moved_on
+from torchreg.verification.reasons import Displacement
 
 
 def verify(
@@ -122,7 +123,7 @@ def _verification(
     def poses(name: str) -> Tensor:
         return torch.stack([nowhere if one is None else getattr(one, name).T_target_source for one in given])
 
-    settled, displacements = _refined(T, search, given, poses("settled"))
+    settled, given = _refined(T, search, given, poses("settled"))
     failure = tuple(
         early if verdict is None else verdict.failure for early, verdict in zip(search.failure, given, strict=True)
     )
@@ -132,8 +133,8 @@ def _verification(
         failure=failure,
         probability=numbers(0.0, [one and one.pose.probability for one in given]),
         settled=settled,
-        deviation_meters=numbers(math.nan, [one and one[1] for one in displacements]),
-        deviation_degrees=numbers(math.nan, [one and one[0] for one in displacements]),
+        deviation_meters=numbers(math.nan, [one and one.displacement.meters for one in given]),
+        deviation_degrees=numbers(math.nan, [one and one.displacement.degrees for one in given]),
         likeliest=poses("likeliest"),
         fitness=numbers(0.0, [one and one.fitness for one in given]),
         inlier_rmse=numbers(0.0, [one and one.inlier_rmse for one in given]),
@@ -152,17 +153,19 @@ def _verification(
 
 def _refined(
     T: Tensor, search: RegistrationResult, given: Sequence[GivenVerdict | None], settled: Tensor
-) -> tuple[Tensor, list[tuple[float, float] | None]]:
-    """The settled poses (B, 4, 4), refined where the search refined them, and degrees and meters of T from them."""
-    settled, apart = settled.clone(), list[tuple[float, float] | None]()
+) -> tuple[Tensor, list[GivenVerdict | None]]:
+    """The settled poses (B, 4, 4), refined where they are about the pose that the search refined, and the verdicts.
+
+    From poses within the inlier threshold of each other, refinement comes to the same one.
+    """
+    settled, verdicts = settled.clone(), list(given)
     for b, verdict in enumerate(given):
-        if verdict is None:
-            apart.append(None)
+        if verdict is None or search.residual_median is None or not bool(search.success[b]):
             continue
-        displacement = (verdict.displacement.degrees, verdict.displacement.meters)
-        if bool(search.success[b]) and torch.equal(settled[b], search.candidates[b][0].T_target_source):
+        source, threshold = search.source.select(b), search.options[b].inlier_threshold
+        away = pose_errors(source, search.candidates[b][0].T_target_source, settled[b])
+        if away.rmse_meters < threshold:
             settled[b] = search.T_target_source[b]
-            errors = pose_errors(search.source.select(b), settled[b], T[b])
-            displacement = (errors.rre_degrees, errors.rmse_meters)
-        apart.append(displacement)
-    return settled, apart
+            moved = pose_errors(source, settled[b], T[b])
+            verdicts[b] = moved_on(verdict, Displacement(moved.rmse_meters, moved.rre_degrees), threshold)
+    return settled, verdicts

@@ -45,8 +45,9 @@ class Verification:
         probability: (B,) float64, calibrated, that the given transform is right: that the pose it settles to is, and
             that the given one lies within the inlier threshold of that pose. 0 where it lies farther away.
         settled: (B, 4, 4) float64, the pose that the given one settles to: where ICP takes it, or the best of all that
-            were weighed within a few inlier thresholds of that, where this one is clearly better. NaN where the clouds
-            cannot be registered at all.
+            were weighed within a few inlier thresholds of that, where this one is clearly better; refined as
+            ``register`` refines, where it is about the pose of a search that succeeds. NaN where the clouds cannot be
+            registered at all.
         deviation_meters: (B,) float64, root mean square distance between the source points under the given and under
             the settled pose. NaN where there is none.
         deviation_degrees: (B,) float64, the angle between the rotations of both, likewise.
@@ -63,7 +64,7 @@ class Verification:
         residual_95: (B,) float64, meters, below which 95 % of them are.
         candidate: of every pair all that speaks for and against the given transform, exactly as given; ``None`` where
             the clouds cannot be registered.
-        settled_candidate: the same of the settled pose.
+        settled_candidate: the same of the settled pose, as it was before refinement.
         rival: of every pair the best pose that is not about the settled one, ``None`` where no other was weighed.
         search: what ``register`` finds with the given transform among its candidates: it has the clouds that were
             compared, thinned, with options, notes, times, candidates and counts.

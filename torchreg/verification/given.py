@@ -28,6 +28,8 @@ from torchreg.verification.impostors import IMPOSTORS
 from torchreg.verification.pairs import GIVEN, CenteredPair, ProposedPoses, middle
 from torchreg.verification.reasons import Displacement, displacement, failure_of, least_margin
 
+_DISPLACED = "displaced"
+
 
 class GivenVerdict(NamedTuple):
     """On the given pose of one pair; transforms between the frames of the files."""
@@ -134,6 +136,18 @@ def given_verdict(
     )
 
 
+def moved_on(verdict: GivenVerdict, moved: Displacement, threshold: float) -> GivenVerdict:
+    """The verdict with another displacement: from the given pose to the settled one, refined once more.
+
+    ``threshold``, meters, is what is allowed; other reasons than the displacement stay.
+    """
+    probability, failure = verdict.settled.probability, verdict.failure
+    if failure is None or failure.kind == _DISPLACED:
+        failure = _displaced(moved, threshold, probability) if moved.meters > threshold else None
+    pose = verdict.pose._replace(probability=probability if moved.meters <= threshold else 0.0)
+    return verdict._replace(displacement=moved, failure=failure, pose=pose)
+
+
 def _clearly_better(weighed: Candidates, row: int, least: float) -> bool:
     """Whether the best candidate beats this one as a success beats its runner-up, and can be right itself."""
     margin = float(weighed.odds[0] - weighed.odds[row])
@@ -142,11 +156,11 @@ def _clearly_better(weighed: Candidates, row: int, least: float) -> bool:
 
 def _displaced(moved: Displacement, threshold: float, probability: float) -> Failure:
     text = (
-        f"displaced: {moved.meters:.3g} m and {moved.degrees:.3g} degrees from the pose that it settles to, which has "
-        f"a probability of {_stated(probability)}; {threshold:.3g} m are allowed"
+        f"{_DISPLACED}: {moved.meters:.3g} m and {moved.degrees:.3g} degrees from the pose that it settles to, which "
+        f"has a probability of {_stated(probability)}; {threshold:.3g} m are allowed"
     )
     figures = {"meters": moved.meters, "degrees": moved.degrees, "allowed": threshold}
-    return Failure("displaced", text, {**figures, "settled_probability": probability})
+    return Failure(_DISPLACED, text, {**figures, "settled_probability": probability})
 
 
 def _outdone(away: Displacement, ranked: Sequence[Candidate], exact: Candidate, *, trusted: bool) -> Failure:
