@@ -13,7 +13,8 @@ from torch import Tensor
 from torchreg.refinement.certainty import agreeing, certainty
 from torchreg.refinement.pairing import Pairing, enter
 from torchreg.refinement.refine import refine_on_surfels
-from torchreg.refinement.settle import CUT, SurfelPairs
+from torchreg.refinement.settle import SurfelPairs
+from torchreg.refinement.spread import CUT
 
 EYE = torch.eye(4, dtype=torch.float64)
 INSIDE_95 = 12.59  # the 95 % quantile of chi-squared with 6 degrees of freedom
