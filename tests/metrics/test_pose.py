@@ -120,10 +120,22 @@ def test_pose_errors_of_a_known_difference():
     errors = tr.metrics.pose_errors(cloud, EYE, T)
     chords = [2 * radius * math.sin(math.radians(1)) for radius in (10, 8)]
     assert errors.rre_degrees == pytest.approx(2)
-    assert errors.rte_meters == pytest.approx(3)
+    assert errors.rte_meters == pytest.approx(math.hypot(3, 2 * 9 * math.sin(math.radians(1))))  # of the origin
     assert errors.rmse_meters == pytest.approx(math.sqrt(sum(chord**2 + 9 for chord in chords) / 2))
     assert all(isinstance(value, float) for value in errors)
     assert tr.metrics.pose_errors(cloud, T, T).rmse_meters == 0
+
+
+def test_pose_errors_are_those_of_the_scene_whatever_the_zero_of_the_map():
+    T_true, T = turned(40, translation=(1.0, -2, 0.5)), turned(40.001, translation=(1.0, -2, 0.503))
+    cloud = tr.Clouds(points=torch.rand(50, 3) * 20)
+    near = tr.metrics.pose_errors(cloud, T_true, T)
+    assert near.rte_meters == pytest.approx(float(tr.metrics.rte(T_true, T)))  # Eq. 6 where the origin is the zero
+    place = (500_000.0, 5_400_000.0, 230.0)
+    there, back = turned(0, translation=place), turned(0, translation=[-value for value in place])
+    mapped = tr.Clouds(points=cloud.points, origin=torch.tensor([place], dtype=torch.float64))
+    far = tr.metrics.pose_errors(mapped, there @ T_true @ back, there @ T @ back)
+    assert far == pytest.approx(near, abs=1e-7)
 
 
 def test_pose_errors_refuse_what_does_not_fit():

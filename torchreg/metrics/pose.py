@@ -17,7 +17,8 @@ class PoseErrors(NamedTuple):
 
     Attributes:
         rre_degrees: relative rotation error (Eq. 5).
-        rte_meters: relative translation error (Eq. 6).
+        rte_meters: relative translation error (Eq. 6), in frames whose zeros are the origin of the source and its true
+            place: with coordinates of a map it tells of the scene, not of a zero thousands of kilometers away.
         rmse_meters: root mean square distance between the source points under the two transforms (Eq. 7).
     """
 
@@ -47,7 +48,7 @@ def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErro
     expect_shape(T_estimated, "T_estimated", (4, 4))
     points = source.points.detach().cpu().to(torch.float64) + source.origin.cpu()
     pair = (T_true.detach().cpu().to(torch.float64), T_estimated.detach().cpu().to(torch.float64))
-    return PoseErrors(float(rre(*pair)), float(rte(*pair)), float(rmse(*pair, points)))
+    return PoseErrors(float(rre(*pair)), float(rmse(*pair, source.origin.cpu())), float(rmse(*pair, points)))
 
 
 def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
