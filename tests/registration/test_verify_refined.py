@@ -35,6 +35,16 @@ def test_the_settled_pose_is_the_refined_one(room, registered):
     assert torch.equal(without.settled[0], without.settled_candidate[0].T_target_source)
 
 
+def test_the_pose_to_take_in_place_of_a_wrong_one_is_refined_too(room, registered):
+    source, target, T = room
+    wrong = tr.verify(source, target, turned(180.0) @ T)
+    assert wrong.reason[0].startswith("another pose is better")
+    assert torch.equal(wrong.likeliest, wrong.search.T_target_source)
+    assert float(tr.metrics.rmse(registered.T_target_source[0], wrong.likeliest[0], source.points)) < 2e-4
+    right = tr.verify(source, target, T)
+    assert torch.equal(right.likeliest, right.settled)
+
+
 def test_the_deviation_is_from_the_refined_pose(room, registered):
     source, target, T = room
     given = moved(0.03) @ T

@@ -123,6 +123,10 @@ def _verification(
     def poses(name: str) -> Tensor:
         return torch.stack([nowhere if one is None else getattr(one, name).T_target_source for one in given])
 
+    likeliest = poses("likeliest")
+    for b, one in enumerate(given):
+        if one is not None and bool(search.success[b]):
+            likeliest[b] = search.T_target_source[b]  # the same pose, refined as register refines
     settled, given = _refined(T, search, given, poses("settled"))
     failure = tuple(
         early if verdict is None else verdict.failure for early, verdict in zip(search.failure, given, strict=True)
@@ -135,7 +139,7 @@ def _verification(
         settled=settled,
         deviation_meters=numbers(math.nan, [one and one.displacement.meters for one in given]),
         deviation_degrees=numbers(math.nan, [one and one.displacement.degrees for one in given]),
-        likeliest=poses("likeliest"),
+        likeliest=likeliest,
         fitness=numbers(0.0, [one and one.fitness for one in given]),
         inlier_rmse=numbers(0.0, [one and one.inlier_rmse for one in given]),
         overlap=numbers(0.0, [one and one.pose.overlap for one in given]),

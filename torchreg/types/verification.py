@@ -52,7 +52,8 @@ class Verification:
             the settled pose. NaN where there is none.
         deviation_degrees: (B,) float64, the angle between the rotations of both, likewise.
         likeliest: (B, 4, 4) float64, the pose that the search holds the most probable, which may be the settled one or
-            close to it; only ``search.success`` says whether it is trusted. NaN where there is none.
+            close to it, refined as ``register`` refines where the search succeeds; only ``search.success`` says
+            whether it is trusted. NaN where there is none.
         fitness: (B,) float64, at the given transform, not refined: share of source points with a target point nearer
             than the inlier threshold; as Open3D's ``evaluate_registration``.
         inlier_rmse: (B,) float64, meters, over those points; as Open3D.
