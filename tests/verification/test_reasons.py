@@ -56,6 +56,10 @@ def test_what_a_pose_lacks_most_is_named(changed, kind, words):
         assert failure.figures[name] == pytest.approx(changed[name])
 
 
+def test_a_small_probability_is_not_said_to_be_zero():
+    assert "probability 0.002 of being right" in refused([-6.0], colors=0.0).text
+
+
 @pytest.mark.parametrize("name", ["colors", "conflict"])
 def test_what_a_cloud_does_not_have_is_not_blamed(name):
     assert refused([-1.0], overlap=0.02, **{name: float("nan")}).kind == "little overlap"

@@ -25,6 +25,7 @@ FIRM_STRENGTH = 0.1
 """Strength below which sliding is the reason of a refused pose; right poses of real pairs have 0.1 and more."""
 
 _SLIDING_OVERLAP = 0.3  # overlap from which surfaces lie on each other, so that sliding is the likely reason
+_LIKELY = 0.01  # below this share two decimals do not tell a probability
 _RIVAL = 0.05  # a rival with this share of the probability is named
 
 _LACKING = {
@@ -80,7 +81,8 @@ def failure_of(
     stated = round(probability, 2)
     if stated >= least > probability:  # rounded up it would read as enough
         stated = math.floor(100 * probability) / 100
-    needed = f"probability {stated:.2f} of being right, {least:g} is needed"
+    likely = f"{stated:.2f}" if stated >= _LIKELY else f"{probability:.1g}"  # 0.00 would read as impossible
+    needed = f"probability {likely} of being right, {least:g} is needed"
     rival = ""
     if len(probabilities) > 1:
         meters, degrees = displacement(candidates.poses, points)
