@@ -52,6 +52,14 @@ def test_a_right_one():
     assert rows[:4] == ["pose", "as", "settled", "rival"]
 
 
+@pytest.mark.parametrize(
+    ("meters", "words"),
+    [(0.0, "refinement finds nothing better"), (1e-9, "to a micrometer"), (0.0003, "0.30 mm and 0.25 degrees away")],
+)
+def test_how_far_off_is_told_in_the_unit_that_shows_it(meters, words):
+    assert words in line(verification(deviation_meters=number(meters)).explain(), "Settles")
+
+
 @pytest.mark.parametrize("kind", KINDS_OF_GIVEN)
 def test_a_wrong_one_is_answered_by_the_pose_to_take(kind):
     text = refused(kind).explain()

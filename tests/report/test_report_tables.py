@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from problems import room_pair
+from problems import room_pair, turned
 from results import bare_result, failed_result, number, verified_result
 from rich.console import Console
 
@@ -50,7 +50,7 @@ def test_registration_table(result):
         f"{int(result.hypotheses.drawn[0]):,} drawn",
         f"{int(result.inliers.sum()):,} of {len(result.inliers):,}",
         f"{float(result.fitness[0]):.4f}",
-        "RRE 0.5 degrees, RTE 0.0123 m, RMSE 0.02 m",
+        "RRE 0.5 degrees, RTE 12 mm, RMSE 20 mm",
         "descriptors",
         "weight 0.8",
     ):
@@ -89,7 +89,7 @@ def test_registration_table_of_a_pose_that_was_weighed():
 def test_the_errors_of_a_refused_pose_are_called_that():
     truth = PoseErrors(0.5, 0.0123, 0.02)
     text = shown(registration_table(failed_result("sliding"), source="a", target="b", truth=truth))
-    assert "the likeliest pose, which was refused: RRE 0.5 degrees, RTE 0.0123 m" in text
+    assert "the likeliest pose, which was refused: RRE 0.5 degrees, RTE 12 mm" in text
     assert "refused" not in shown(registration_table(verified_result(), source="a", target="b", truth=truth))
 
 
@@ -121,7 +121,18 @@ def test_matrix_text():
     lines = matrix_text(T).splitlines()
     assert len({len(line) for line in lines}) == 1
     rows = [[float(word) for word in line.split()] for line in lines]
-    torch.testing.assert_close(torch.tensor(rows, dtype=torch.float64), T, atol=1e-9, rtol=0)
+    torch.testing.assert_close(torch.tensor(rows, dtype=torch.float64), T, atol=5e-7, rtol=0)
+
+
+@pytest.mark.parametrize("kilometers", [0.01, 6000])
+def test_the_matrix_that_a_table_shows_puts_points_where_the_pose_does(kilometers):
+    zero = torch.full((3, 1), 1000.0 * kilometers, dtype=torch.float64)
+    R = turned(33, axis=(1.0, 2.0, 3.0))[:3, :3]
+    T = rigid(R, (zero - R @ zero)[:, 0])
+    rows = [[float(word) for word in line.split()] for line in matrix_text(T).splitlines()]
+    off = torch.tensor(rows, dtype=torch.float64) - T
+    away = off[:3, :3] @ zero + off[:3, 3:]
+    assert float(away.abs().max()) < 1e-4
 
 
 def test_cloud_table(tmp_path):
@@ -150,7 +161,7 @@ def a_row(method="m", right=True, ratio=0.1, degrees=0.1, success=True):
 
 def test_demo_table():
     text = shown(demo_table([a_row("one"), a_row("two", right=False), a_row("three", right=False, success=False)]), 80)
-    assert text.splitlines()[2].split() == ["one", "12,345", "10.00", "%", "0.10", "0.500", "0.250", "1.3", "right"]
+    assert text.splitlines()[2].split() == ["one", "12,345", "10.00", "%", "0.100", "0.5000", "0.2500", "1.3", "right"]
     assert text.splitlines()[3].split()[-1] == "wrong"
     assert text.splitlines()[4].split()[-5:] == ["-", "-", "-", "1.3", "refused"]
 

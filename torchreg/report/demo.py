@@ -52,7 +52,7 @@ def demo_table(rows: Sequence[DemoRow]) -> Table:
             row.method,
             f"{max(row.points):,}",
             f"{100 * row.inlier_ratio:.2f} %",
-            *((f"{rre:.2f}", f"{rte:.3f}", f"{rmse:.3f}") if row.success else ("-", "-", "-")),
+            *((f"{rre:.3f}", f"{rte:.4f}", f"{rmse:.4f}") if row.success else ("-", "-", "-")),
             f"{row.seconds:.1f}",
             verdict if row.success else "refused",
         )

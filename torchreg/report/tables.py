@@ -23,7 +23,7 @@ from torchreg.report.explain.explanation import (
 )
 from torchreg.report.explain.facts import Facts, facts_of
 from torchreg.report.explain.given import deviation_text, rival_text
-from torchreg.report.text import chance, counted, meters, plain, share
+from torchreg.report.text import chance, counted, distance, meters, plain, share
 from torchreg.types import RegistrationResult, Verification
 
 
@@ -55,7 +55,7 @@ def registration_table(
     if truth is not None:
         rre, rte, rmse = truth
         pose = "" if facts.success else "the likeliest pose, which was refused: "
-        table.add_row("against the truth", f"{pose}RRE {rre:.4g} degrees, RTE {meters(rte)}, RMSE {meters(rmse)}")
+        table.add_row("against the truth", f"{pose}RRE {rre:.4g} degrees, RTE {distance(rte)}, RMSE {distance(rmse)}")
     if facts.success:
         table.add_row("T_target_source", Text(matrix_text(result.T_target_source[pair]), no_wrap=True))
         table.add_row("verdict", Text("registered", style="bold green"))
@@ -144,8 +144,12 @@ def summary_table(summary: Summary) -> Table:
 
 
 def matrix_text(T: Tensor) -> str:
-    """A transform (4, 4) as four lines, to the nanometer; ``write_transform_text`` keeps every digit."""
-    cells = [[f"{value:.9f}" for value in row] for row in T.tolist()]
+    """A transform (4, 4) as four lines; ``write_transform_text`` keeps every digit.
+
+    The translation is given to the micrometer, the rotation with so many digits that points thousands of kilometers
+    from the zero, as on a map, stay within 0.1 mm.
+    """
+    cells = [[*(f"{value:.11f}" for value in row[:3]), f"{row[3]:.6f}"] for row in T.tolist()]
     widths = [max(len(row[column]) for row in cells) for column in range(4)]
     return "\n".join(" ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
 
@@ -239,7 +243,7 @@ def _summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
         yield "wrong, called right", f"{summary.wrong_registered:,}"
         yield "right, refused", f"{summary.right_refused:,}"
     if summary.rre_degrees is not None and summary.rte_meters is not None:
-        yield "median errors", f"RRE {summary.rre_degrees:.3g} degrees, RTE {meters(summary.rte_meters)}"
+        yield "median errors", f"RRE {summary.rre_degrees:.3g} degrees, RTE {distance(summary.rte_meters)}"
     total = sum(summary.seconds.values())
     if total > 0:
         stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in summary.seconds.items())

@@ -34,8 +34,19 @@ def counted(count: int, what: str) -> str:
 
 
 def millimeters(*values: float) -> str:
-    """Such as ``0.74 mm`` or ``0.74, 1.6, 3.6 mm``: two significant digits at least."""
-    return ", ".join(f"{1000 * value:.2g}" if value < 0.01 else f"{1000 * value:.0f}" for value in values) + " mm"
+    """Such as ``0.74 mm`` or ``0.74, 1.6, 36 mm``: two significant digits at least, down to a nanometer."""
+    return ", ".join(_in_millimeters(1000 * value) for value in values) + " mm"
+
+
+def distance(value: float) -> str:
+    """A distance that may be small or large: ``0.74 mm`` below a decimeter, ``0.3679 m`` from there on."""
+    return millimeters(value) if value < 0.1 else meters(value)
+
+
+def _in_millimeters(value: float) -> str:
+    if value < 1e-6:
+        return "0"
+    return f"{value:#.2g}" if value < 0.995 else f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
 
 
 def share(part: int, whole: int) -> str:

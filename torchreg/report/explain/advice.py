@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from torchreg.registration.options import RegistrationOptions
 from torchreg.report.explain.facts import FIRM_STRENGTH, Facts
-from torchreg.report.text import chance, decimal, meters, odds, percent, share
+from torchreg.report.text import chance, counted, decimal, meters, odds, percent, share
 from torchreg.solvers import RansacOptions
 
 _MOST = 2
@@ -51,7 +51,7 @@ def _points(facts: Facts) -> str:
     if facts.options is not None and facts.options.voxel_size is not None and given > 2 * left:
         smaller = f"a smaller voxel_size (now {meters(facts.options.voxel_size)})"
         return f"{smaller}: it leaves only {left:,} of the {given:,} points of the {name}"
-    return f"denser clouds: one has only {left:,} points"
+    return f"denser clouds: one has only {counted(left, 'point')}"
 
 
 def _hardly_any(facts: Facts) -> str:

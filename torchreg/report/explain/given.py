@@ -9,8 +9,10 @@ from torchreg.metrics import rre
 from torchreg.report.explain.advice import advice
 from torchreg.report.explain.explanation import CANDIDATE_HEADINGS, candidate_cells, stage_lines
 from torchreg.report.explain.facts import Facts, facts_of
-from torchreg.report.text import chance, columns, decimal, line, meters, percent
+from torchreg.report.text import chance, columns, decimal, distance, line, meters, percent
 from torchreg.types import Verification
+
+_SAME = 1e-6  # meters
 
 
 def explanation_of_given(result: Verification, pair: int) -> str:
@@ -41,8 +43,10 @@ def deviation_text(result: Verification, pair: int) -> str:
     apart, turned = float(result.deviation_meters[pair]), float(result.deviation_degrees[pair])
     if apart == 0:
         return "where it is: refinement finds nothing better nearby"
+    if apart < _SAME:
+        return "where it is, to a micrometer"
     allowed = meters(result.options[pair].inlier_threshold)
-    return f"{meters(apart)} and {turned:.3g} degrees away, root mean square over the source ({allowed} are allowed)"
+    return f"{distance(apart)} and {turned:.3g} degrees away, root mean square over the source ({allowed} are allowed)"
 
 
 def rival_text(result: Verification, pair: int) -> str:
