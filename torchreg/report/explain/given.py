@@ -104,6 +104,7 @@ def _advice(result: Verification, pair: int, facts: Facts) -> list[str]:
     """What to do; where the search is in doubt itself, what may help the search."""
     failure = result.failure[pair]
     if failure is None:
-        return ["nothing needs to change; the settled pose is the given one, refined"]
+        apart = f"{distance(float(result.deviation_meters[pair]))} away"
+        return [f"nothing needs to change to the inlier threshold; beyond it, take the settled pose, {apart}"]
     rule = _RULES.get(failure.kind)
     return advice(facts) if rule is None else rule(result, pair, facts)
