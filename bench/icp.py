@@ -57,7 +57,11 @@ def made(source: tr.Clouds, target: tr.Clouds, T: Tensor, voxel: float, number: 
     T = T.clone()
     T[:3, 3] += apply_rotation(T[:3, :3], source.origin[0]) - target.origin[0]
     zero = torch.zeros_like(source.origin)
-    bare = (replace(cloud, origin=zero, viewpoint=None) for cloud in (source, target))
+    # signs do not matter to any kind, but Open3D's generalized ICP takes normals near -x for x
+    bare = (
+        replace(cloud, origin=zero, viewpoint=None, normals=cloud.normals * torch.sign(cloud.normals[:, :1] + 1e-12))
+        for cloud in (source, target)
+    )
     return Start(*bare, perturbed(T, number, voxel), voxel)
 
 
