@@ -47,7 +47,12 @@ class Refined(NamedTuple):
 
 
 def refine_on_surfels(
-    source: Surfels, target: Surfels, T_target_source: Tensor, reach: Sequence[float], skipped: Sequence[bool]
+    source: Surfels,
+    target: Surfels,
+    T_target_source: Tensor,
+    reach: Sequence[float],
+    skipped: Sequence[bool],
+    sizes: Sequence[float] | None = None,
 ) -> Refined:
     """Refine the poses of B pairs.
 
@@ -57,6 +62,9 @@ def refine_on_surfels(
         T_target_source: (B, 4, 4) float64, rigid, origins included: about right.
         reach: B numbers, meters: how far off a pose may be.
         skipped: B flags: pairs that stay as they are, without figures.
+        sizes: B numbers, meters: root mean square distances of the source's points from their mean. A pose is off by a
+            part of ``reach`` there, so it is turned by less, the larger they are; ``None`` takes those of the surfels,
+            which may all lie in the floor around a scanner.
 
     Returns:
         Refined. A pair's figures have the same bits alone, in any batch and with any number of threads.
@@ -72,7 +80,8 @@ def refine_on_surfels(
 
     def run(members: list[int]) -> list[_One]:
         sides = Surfels.pack([sources[b] for b in members]), Surfels.pack([targets[b] for b in members])
-        return _refine(*sides, T_target_source[members], [reach[b] for b in members])
+        of_points = [0.0 if sizes is None else sizes[b] for b in members]
+        return _refine(*sides, T_target_source[members], [reach[b] for b in members], of_points)
 
     done = shared_out(run, groups, workers) if len(groups) > 1 else list(map(run, groups))
     by_pair: dict[int, _One] = {}
@@ -110,23 +119,33 @@ def _unrefined(T: Tensor, reason: str) -> _One:
     return _One(T, reason, nothing.expand(3), nothing.expand(6, 6), nothing.expand(3), nothing.expand(6))
 
 
-def _refine(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float]) -> list[_One]:
+def _refine(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float], sizes: Sequence[float]) -> list[_One]:
     """By planes; a pose that slides on them by colors too, where both clouds have them."""
-    made = _laid(source, target, T, reach)
+    made = _laid(source, target, T, reach, sizes)
     sliding = [b for b, one in enumerate(made) if one.reason == OPEN or bool((one.held < _SLIDES).any())]
     if not sliding or source.cloud.colors is None or target.cloud.colors is None:
         return made
     sources, targets = source.unpack(), target.unpack()
     sides = Surfels.pack([sources[b] for b in sliding]), Surfels.pack([targets[b] for b in sliding])
-    again = _laid(*sides, torch.stack([made[b].T for b in sliding]), [reach[b] for b in sliding], colored=True)
+    lengths = ([values[b] for b in sliding] for values in (reach, sizes))
+    again = _laid(*sides, torch.stack([made[b].T for b in sliding]), *lengths, colored=True)
     for b, one in zip(sliding, again, strict=True):
         if not one.reason:
             made[b] = one
     return made
 
 
-def _laid(source: Surfels, target: Surfels, T: Tensor, reach: Sequence[float], *, colored: bool = False) -> list[_One]:
+def _laid(
+    source: Surfels,
+    target: Surfels,
+    T: Tensor,
+    reach: Sequence[float],
+    sizes: Sequence[float],
+    *,
+    colored: bool = False,
+) -> list[_One]:
     pairs = SurfelPairs(source, target, Pairing(range(len(source)), range(len(source))), colored=colored)
+    pairs.sizes = torch.maximum(pairs.sizes, torch.tensor(sizes, dtype=torch.float64, device=T.device))
     R, t = enter(pairs.frames, T)
     limit = torch.tensor(reach, dtype=torch.float64, device=T.device)
     settled = pairs.settle(R, t, limit)

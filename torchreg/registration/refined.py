@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.sums import row_sums
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.neighborhoods.coverage import Coverage, coverage
 from torchreg.refinement.refine import Refined, refine_on_surfels, residuals_under
@@ -54,7 +56,8 @@ def _refined(
 ) -> tuple[RegistrationResult, Notes]:
     thresholds = [option.inlier_threshold for option in options]
     failed = [failure is not None for failure in result.failure]
-    done = refine_on_surfels(source, target, result.T_target_source, thresholds, failed)
+    sizes = [_size(result.source.points[begin:end]) for begin, end in spans(result.source.offsets)]
+    done = refine_on_surfels(source, target, result.T_target_source, thresholds, failed, sizes)
     fitness, rmse, inliers = result.fitness.clone(), result.inlier_rmse.clone(), result.inliers.clone()
     rows, reasons, kept = spans(result.correspondences.offsets), list(done.reason), [False] * len(result)
     for b, (one, other) in enumerate(zip(result.source.unpack(), result.target.unpack(), strict=True)):
@@ -76,6 +79,15 @@ def _refined(
         **_figures(done, torch.tensor(kept, device=fitness.device), result.T_target_source),
     )
     return changed, tuple((f"the pose is not refined: {reason}",) if reason else () for reason in reasons)
+
+
+def _size(points: Tensor) -> float:
+    """The root mean square distance of points (P, 3) from their mean, meters; 0 without points."""
+    if len(points) == 0:
+        return 0.0
+    wide = points.double()
+    apart = (wide - row_sums(wide.t()) / len(wide)).square()
+    return math.sqrt(float(row_sums(apart.t()).sum()) / len(wide))
 
 
 def given_residuals(
