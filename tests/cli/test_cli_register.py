@@ -61,7 +61,7 @@ def test_table_says_what_was_found(run, room):
     assert result.stdout.rstrip().endswith("registered")
     assert "not registered" not in result.stdout
     assert room.source in result.stdout.replace("\n", "")
-    assert "0.000000000 0.000000000" in " ".join(result.stdout.split())
+    assert "0.00000000000 0.00000000000" in " ".join(result.stdout.split())
     assert "wrote" not in result.stderr
 
 
