@@ -24,7 +24,7 @@ def registered(run, room):
     return registered
 
 
-@pytest.mark.parametrize("mode", ["none", "coarse", "full"])
+@pytest.mark.parametrize("mode", ["none", pytest.param("coarse", marks=pytest.mark.slow), "full"])
 def test_refine(registered, room, mode):
     found = registered("--refine", mode)
     assert found["options"]["refine"] == mode
@@ -46,6 +46,7 @@ def test_refined_to_the_full_is_what_there_is_by_default_and_better(registered):
         assert registered(*words)["options"]["refine"] == "none"
 
 
+@pytest.mark.slow
 def test_refine_points(registered):
     few, many = registered("--refine-points", "300"), registered("--refine-points", "9000")
     assert (few["options"]["refine_points"], many["options"]["refine_points"]) == (300, 9000)

@@ -118,7 +118,7 @@ def mixed():
     return tr.Clouds.pack(sources), tr.Clouds.pack(targets)
 
 
-@pytest.mark.parametrize("mode", ["coarse", "full"])
+@pytest.mark.parametrize("mode", [pytest.param("coarse", marks=pytest.mark.slow), "full"])
 def test_refused_pairs_are_untouched(mode):
     source, target = mixed()
     result, before = (tr.register(source, target, refine=each) for each in (mode, "none"))
@@ -133,7 +133,7 @@ def test_refused_pairs_are_untouched(mode):
         assert all(bool(getattr(result, name)[b].isfinite().all()) for name in FIGURES)
 
 
-@pytest.mark.parametrize("mode", ["coarse", "full"])
+@pytest.mark.parametrize("mode", [pytest.param("coarse", marks=pytest.mark.slow), "full"])
 def test_batches_slices_and_threads_do_not_show(mode):
     source, target = mixed()
     whole = tr.register(source, target, refine=mode)

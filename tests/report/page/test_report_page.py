@@ -149,6 +149,7 @@ def test_clouds_are_thinned_to_the_number_that_is_named(pairs):
     assert f"500 of {len(source.select(0).points):,} points" in page.text("label")
 
 
+@pytest.mark.slow
 def test_the_same_result_gives_the_same_page(pairs, text):
     source, target, result = pairs
     again = report_html(result, source, target, 0, names=("a.ply", "b.ply"), file_notes=["source: a note"])
