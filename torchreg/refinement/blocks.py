@@ -73,6 +73,12 @@ class Blocks:
         return padded[:, :, 0].t()  # (B, C)
 
 
+def dot(left: Tensor, right: Tensor) -> Tensor:
+    """Products (...) of vectors (3, ...), in a fixed order."""
+    x, y, z = (left * right).unbind(0)
+    return x + y + z
+
+
 def turned(rotation: Tensor, vectors: Tensor) -> Tensor:
     """Vectors (3, k, 256) turned by the rotations (k, 3, 3) of their blocks."""
     x, y, z = vectors.unbind(0)

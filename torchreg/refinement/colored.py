@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.neighborhoods import neighbors
+from torchreg.refinement.blocks import dot
 from torchreg.refinement.estimator import Estimator, IcpKind, MatchedBlocks
 from torchreg.refinement.gauss_newton import CHANNELS, products, solve
 from torchreg.refinement.kernels import Kernel
@@ -35,12 +36,12 @@ def colored(kernel: Kernel) -> Estimator:
 
     def terms(matched: MatchedBlocks) -> Tensor:
         q, n, d, intensity = matched.partner.split([3, 3, 3, 1])
-        distance, slope = plane_residual(matched), _dot(d, n)
+        distance, slope = plane_residual(matched), dot(d, n)
         share, rest = matched.color_weight.sqrt(), (1 - matched.color_weight).sqrt()  # (k, 1)
         geometric = rest * distance
         weight = matched.inside * kernel(geometric, matched.kernel_scale)
         out = products(jacobian(matched.moved, rest * n, geometric), weight)
-        on_plane = _dot(d, matched.moved - q) - distance * slope  # d . (p' - q)
+        on_plane = dot(d, matched.moved - q) - distance * slope  # d . (p' - q)
         photometric = share * (matched.extra[0] - intensity[0] - on_plane)
         flat = (n * slope).sub_(d).mul_(share)  # -d on the plane
         weight = matched.inside * kernel(photometric, matched.kernel_scale)
@@ -50,12 +51,12 @@ def colored(kernel: Kernel) -> Estimator:
 
 
 def _columns(source: Clouds, target: Clouds, max_distance: Tensor) -> tuple[Tensor, Tensor]:
-    columns, intensity = planes(target), _intensity(target)
+    columns, intensity = planes(target), intensity_of(target)
     gradient = color_gradient(target, columns[:, 3:], intensity, 2 * max_distance.cpu())
-    return torch.cat([columns, gradient, intensity[:, None]], dim=1), _intensity(source)[:, None]
+    return torch.cat([columns, gradient, intensity[:, None]], dim=1), intensity_of(source)[:, None]
 
 
-def _intensity(cloud: Clouds) -> Tensor:
+def intensity_of(cloud: Clouds) -> Tensor:
     """The mean (P,) of red, green and blue, float64."""
     if cloud.colors is None:
         raise ValueError("cloud: expected colors, got none")
@@ -115,11 +116,6 @@ def _least_squares(
     along_w = torch.where(solvable, (wb - uw * along_u - vw * along_v) / stiff, zero)
     gradient: Tensor = along_u * first[:, rows] + along_v * second[:, rows] + along_w * normal
     return gradient
-
-
-def _dot(left: Tensor, right: Tensor) -> Tensor:
-    x, y, z = (left * right).unbind(0)
-    return x + y + z
 
 
 COLORED = IcpKind(

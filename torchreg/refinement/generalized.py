@@ -18,7 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.refinement.blocks import turned
+from torchreg.refinement.blocks import dot, turned
 from torchreg.refinement.estimator import Estimator, IcpKind, MatchedBlocks
 from torchreg.refinement.gauss_newton import CHANNELS, products, solve
 from torchreg.refinement.kernels import Kernel
@@ -40,7 +40,7 @@ def generalized(kernel: Kernel) -> Estimator:
         apart = matched.moved - matched.partner[:3]
         out: Tensor | None = None
         for row in rows.unbind(0):
-            residual = _dot(row, apart)
+            residual = dot(row, apart)
             weight = matched.inside * kernel(residual, matched.kernel_scale)
             out = products(jacobian(matched.moved, row, residual), weight, onto=out)
         return out if out is not None else apart
@@ -50,7 +50,7 @@ def generalized(kernel: Kernel) -> Estimator:
 
 def whitening(first: Tensor, second: Tensor) -> Tensor:
     """W (3, 3, ...), symmetric, of unit normals (3, ...): the inverse square root of the sum of both covariances."""
-    cosine = _dot(first, second).clamp(-1.0, 1.0)
+    cosine = dot(first, second).clamp(-1.0, 1.0)
     both = 0.5**0.5
     rows = torch.zeros(3, *first.shape, dtype=first.dtype, device=first.device)
     for sign in (1.0, -1.0):
@@ -64,11 +64,6 @@ def whitening(first: Tensor, second: Tensor) -> Tensor:
     for i in range(3):
         rows[i, i] += both
     return rows
-
-
-def _dot(left: Tensor, right: Tensor) -> Tensor:
-    x, y, z = (left * right).unbind(0)
-    return x + y + z
 
 
 def _columns(source: Clouds, target: Clouds, max_distance: Tensor) -> tuple[Tensor, Tensor]:

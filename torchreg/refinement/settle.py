@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.refinement.blocks import Blocks, turned
-from torchreg.refinement.colored import color_gradient
+from torchreg.refinement.colored import color_gradient, intensity_of
 from torchreg.refinement.correspond import Correspondence, Target, few_nearest
 from torchreg.refinement.gauss_newton import solve
 from torchreg.refinement.pairing import Frames, Pairing, centered_frames
@@ -64,7 +64,6 @@ class SurfelPairs:
         self._colored = colored
         self.pairing = pairing
         self.frames: Frames = centered_frames(source.cloud, target.cloud, pairing)
-        self._source, self._target = source, target
         sources = [spans(source.cloud.offsets)[number] for number in pairing.source]
         self.lengths = [end - begin for begin, end in sources]
         device = source.cloud.device
@@ -183,11 +182,8 @@ def _plane_columns(surfels: Surfels) -> Tensor:
 
 
 def _shade(surfels: Surfels) -> Tensor:
-    """(P, 1) float64: intensity, the mean of red, green and blue."""
-    colors = surfels.cloud.colors
-    if colors is None:
-        raise ValueError("surfels: expected colors, got none")
-    return (colors[:, 0].double() + colors[:, 1].double() + colors[:, 2].double())[:, None] / 3
+    """(P, 1) float64: intensity."""
+    return intensity_of(surfels.cloud)[:, None]
 
 
 def _gradient(surfels: Surfels, points: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.refinement.blocks import Blocks
+from torchreg.refinement.blocks import Blocks, dot
 from torchreg.refinement.correspond import Correspondence
 from torchreg.refinement.gauss_newton import CHANNELS, products
 from torchreg.refinement.kernels import tukey
@@ -73,12 +73,12 @@ def residual_spread(shown: Residuals, blocks: Blocks) -> ResidualSpread:
 def medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
     """Medians (B,) of values (n, 256) where ``kept``; 0 where a pair has none."""
     ends = torch.tensor(blocks.counts).cumsum(0).tolist()
-    medians = []
+    found = []
     for end, count in zip(ends, blocks.counts, strict=True):
         rows = slice(end - count, end)
         own = values[rows][kept[rows]]
-        medians.append(own.median() if len(own) > 0 else values.new_zeros(()))
-    return torch.stack(medians)
+        found.append(own.median() if len(own) > 0 else values.new_zeros(()))
+    return torch.stack(found)
 
 
 def normal_equations(shown: Residuals, matches: Correspondence, spread: ResidualSpread) -> Tensor:
@@ -119,13 +119,8 @@ def shades_of(intensity: Tensor, matches: Correspondence, columns: Tensor, alike
     ]
     spreads = [contrast[blocks.pair][:, None] for contrast in contrasts]
     gain = torch.where(spreads[0] > FAINT, spreads[1] / spreads[0].clamp(min=FAINT), 1.0)
-    across = _dot(columns[:3], normal)
+    across = dot(columns[:3], normal)
     slope = columns[:3] - across * normal  # along the plane
-    ahead = _dot(slope, matches.moved - matches.partner[:3])
+    ahead = dot(slope, matches.moved - matches.partner[:3])
     difference = (intensity - middles[0]) * gain + middles[1] - own - ahead
     return Shades(difference, -slope, _DEVIATION * contrasts[1])
-
-
-def _dot(left: Tensor, right: Tensor) -> Tensor:
-    x, y, z = (left * right).unbind(0)
-    return x + y + z

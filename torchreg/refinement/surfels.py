@@ -88,7 +88,7 @@ def surfels_of(clouds: Clouds, count: int) -> Surfels:
     Args:
         clouds: finite points; normals are ignored.
         count: points of a cloud are first averaged over cubes so large that about as many are left; a cloud of fewer
-            points gives a surfel for each. At least 1.
+            points gives one for each at most. At least 1.
 
     Returns:
         Surfels, of a cloud alone the same bits as in any batch. No gradients.
