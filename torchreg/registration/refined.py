@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.sums import row_sums
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.metrics.fit import relative_transform
 from torchreg.neighborhoods.coverage import Coverage, coverage
 from torchreg.refinement.refine import Refined, refine_on_surfels, residuals_under
 from torchreg.refinement.surfels import Surfels
@@ -122,8 +123,7 @@ def _cover(near: Coverage, threshold: float) -> Tensor:
 
 def _fit(source: Clouds, target: Clouds, result: RegistrationResult, b: int, T: Tensor, threshold: float) -> _Fit:
     """Of pair ``b``, whose thinned clouds are ``source`` and ``target``, under a transform (4, 4)."""
-    R = T[:3, :3]
-    t = T[:3, 3] + apply_rotation(R, source.origin[0]) - target.origin[0]
+    R, t = (part[0] for part in relative_transform(source, target, T[None]))
     rows = slice(*spans(result.correspondences.offsets)[b])
     one = result.source.points[result.correspondences.source[rows]].double()
     other = result.target.points[result.correspondences.target[rows]].double()
