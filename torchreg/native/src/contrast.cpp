@@ -1,0 +1,84 @@
+// Local color contrast: spread and shift of every color channel, near a point and farther.
+#include "lanes.hpp"
+#include "slots.hpp"
+
+namespace torchreg {
+namespace {
+
+constexpr int64_t COLUMNS = 10;
+
+// Sums over the neighbors of a point of a channel's difference and of its square, the near ones and all.
+struct Lanes {
+    alignas(64) float near[LANES], near_square[LANES], far[LANES], far_square[LANES];
+};
+
+// _moments: mean and standard deviation, from sums over `share` reciprocal.
+struct Moments {
+    float mean, spread;
+    Moments(const float* sums, const float* squares, float share) {
+        mean = sum_of_lanes(sums) * share;
+        float variance = sum_of_lanes(squares) * share - mean * mean;
+        variance = variance < 0.0f ? 0.0f : variance;
+        spread = variance * (1.0f / std::sqrt(std::max(variance, std::numeric_limits<float>::min())));
+    }
+};
+
+float share_of(int64_t count) { return 1.0f / static_cast<float>(std::max<int64_t>(count, 1)); }
+
+}  // namespace
+}  // namespace torchreg
+
+using namespace torchreg;
+
+// contrast of descriptors/contrast.py in float32: colors (P, 3), neighborhoods (P, K) with squared distances, inner
+// (P,) the square of the near radius, `level` added to means that divide, `constant` the last entry -> out (P, 10).
+KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
+                    int64_t valid_stride, const float* square, int64_t square_stride, const float* inner,
+                    int64_t count, int64_t width, double level, double constant, float* out, int64_t threads) {
+    const Slots slots{index, index_stride, valid, valid_stride, width};
+    const float least = static_cast<float>(level);
+    parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t row = begin; row < end; ++row) {
+            const int64_t* indices = slots.index_of(row);
+            const uint8_t* flags = slots.valid_of(row);
+            const float* squares = square + square_stride * row;
+            const float* own = colors + 3 * row;
+            const int64_t used = slots.used(row);
+            Lanes sums[3] = {};
+            int64_t near_count = 0, far_count = 0;
+            for (int64_t first = 0; first < used; first += LANES) {
+                alignas(64) float value[3][LANES] = {}, core[LANES] = {}, whole[LANES] = {};
+                const int64_t here = std::min(LANES, used - first);
+                for (int64_t k = 0; k < here; ++k) {
+                    const float* other = colors + 3 * indices[first + k];
+                    for (int64_t c = 0; c < 3; ++c) value[c][k] = other[c] - own[c];
+                    const bool counted = flags[first + k] != 0, close = counted && squares[first + k] < inner[row];
+                    whole[k] = counted ? 1.0f : 0.0f;
+                    core[k] = close ? 1.0f : 0.0f;
+                    far_count += counted;
+                    near_count += close;
+                }
+                for (int64_t c = 0; c < 3; ++c)
+                    for (int64_t k = 0; k < LANES; ++k) {
+                        const float near = value[c][k] * core[k], far = value[c][k] * whole[k];
+                        sums[c].near[k] += near;
+                        sums[c].near_square[k] += near * value[c][k];
+                        sums[c].far[k] += far;
+                        sums[c].far_square[k] += far * value[c][k];
+                    }
+            }
+            const float described = far_count > 1 ? 1.0f : 0.0f;
+            float* result = out + COLUMNS * row;
+            for (int64_t c = 0; c < 3; ++c) {
+                const Moments near(sums[c].near, sums[c].near_square, share_of(near_count));
+                const Moments far(sums[c].far, sums[c].far_square, share_of(far_count));
+                const float far_level = own[c] + far.mean + least, near_level = own[c] + near.mean + least;
+                result[3 * c] = near.spread / near_level * described;
+                result[3 * c + 1] = far.spread / far_level * described;
+                result[3 * c + 2] = (near.mean - far.mean) / far_level * described;
+            }
+            result[COLUMNS - 1] = static_cast<float>(constant) * described;
+        }
+    });
+    return 0;
+}
