@@ -216,13 +216,12 @@ def _own_histograms(
 def _native_histograms(
     values: Tensor, near: Neighborhoods, bins: int, channels: tuple[str, ...], saturation_weighting: bool
 ) -> tuple[Tensor, Tensor]:
-    (count, width), places = near.index.shape, [CHANNELS.index(name) for name in channels]
-    columns = values.detach().t().contiguous()  # (3, P)
-    saturation = columns[CHANNELS.index("saturation")] if saturation_weighting else None
-    circular = sum(1 << place for place, name in enumerate(channels) if name == "hue")
+    count, width = near.index.shape
+    places = torch.tensor([CHANNELS.index(name) for name in channels])
     out = values.new_empty(count, bins * len(channels))
     enough = torch.empty(count, dtype=torch.bool)
     slots = *rows(near.index), *rows(near.valid)
     sizes = count, width, bins, MIN_NEIGHBORS
-    call("color_histograms_f32", columns[places], saturation, len(places), circular, *slots, *sizes, out, enough)
+    asked = values.detach().contiguous(), places, len(places), int(saturation_weighting)
+    call("color_histograms_f32", *asked, *slots, *sizes, out, enough)
     return out, enough

@@ -36,35 +36,38 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                     int64_t valid_stride, const float* square, int64_t square_stride, const float* inner,
                     int64_t count, int64_t width, double level, double constant, float* out, int64_t threads) {
     const Slots slots{index, index_stride, valid, valid_stride, width};
+    const std::vector<float> table = records(colors, count);
     const float least = static_cast<float>(level);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t row = begin; row < end; ++row) {
             const int64_t* indices = slots.index_of(row);
             const uint8_t* flags = slots.valid_of(row);
             const float* squares = square + square_stride * row;
-            const float* own = colors + 3 * row;
+            const float* own = table.data() + RECORD * row;
+            const float radius = inner[row];
             const int64_t used = slots.used(row);
             Lanes sums[3] = {};
             int64_t near_count = 0, far_count = 0;
             for (int64_t first = 0; first < used; first += LANES) {
-                alignas(64) float value[3][LANES] = {}, core[LANES] = {}, whole[LANES] = {};
+                alignas(64) float others[RECORD * LANES], core[LANES], whole[LANES];
                 const int64_t here = std::min(LANES, used - first);
-                for (int64_t k = 0; k < here; ++k) {
-                    const float* other = colors + 3 * indices[first + k];
-                    for (int64_t c = 0; c < 3; ++c) value[c][k] = other[c] - own[c];
-                    const bool counted = flags[first + k] != 0, close = counted && squares[first + k] < inner[row];
-                    whole[k] = counted ? 1.0f : 0.0f;
-                    core[k] = close ? 1.0f : 0.0f;
+                for (int64_t k = 0; k < LANES; ++k) {
+                    const int64_t slot = first + std::min(k, here - 1);
+                    std::memcpy(others + RECORD * k, table.data() + RECORD * indices[slot], RECORD * sizeof(float));
+                    const bool counted = (k < here) & (flags[slot] != 0), close = counted & (squares[slot] < radius);
+                    whole[k] = static_cast<float>(counted);
+                    core[k] = static_cast<float>(close);
                     far_count += counted;
                     near_count += close;
                 }
                 for (int64_t c = 0; c < 3; ++c)
                     for (int64_t k = 0; k < LANES; ++k) {
-                        const float near = value[c][k] * core[k], far = value[c][k] * whole[k];
+                        const float value = others[RECORD * k + c] - own[c];
+                        const float near = value * core[k], far = value * whole[k];
                         sums[c].near[k] += near;
-                        sums[c].near_square[k] += near * value[c][k];
+                        sums[c].near_square[k] += near * value;
                         sums[c].far[k] += far;
-                        sums[c].far_square[k] += far * value[c][k];
+                        sums[c].far_square[k] += far * value;
                     }
             }
             const float described = far_count > 1 ? 1.0f : 0.0f;

@@ -8,35 +8,38 @@ namespace {
 
 // _covariance: of the neighbors of one row, put into place i; returns their number.
 template <typename T>
-int64_t covariance(const T* points, const Slots& slots, int64_t row, Matrices<double>& out, int64_t i) {
+int64_t covariance(const T* table, const Slots& slots, int64_t row, Matrices<double>& out, int64_t i) {
     const int64_t* indices = slots.index_of(row);
     const uint8_t* flags = slots.valid_of(row);
-    const T* own = points + 3 * row;
+    const T* own = table + RECORD * row;
     const int64_t used = slots.used(row);
     alignas(64) double sums[9][LANES] = {};  // x y z xx xy xz yy yz zz
     int64_t count = 0;
     for (int64_t first = 0; first < used; first += LANES) {
-        alignas(64) double x[LANES] = {}, y[LANES] = {}, z[LANES] = {};
+        alignas(64) T others[RECORD * LANES], weight[LANES];
         const int64_t here = std::min(LANES, used - first);
-        for (int64_t k = 0; k < here; ++k) {
-            const T* other = points + 3 * indices[first + k];
-            const bool counted = flags[first + k] != 0;
-            const double weight = counted ? 1.0 : 0.0;
-            x[k] = static_cast<double>(other[0] - own[0]) * weight;
-            y[k] = static_cast<double>(other[1] - own[1]) * weight;
-            z[k] = static_cast<double>(other[2] - own[2]) * weight;
+        for (int64_t k = 0; k < LANES; ++k) {
+            const int64_t slot = first + std::min(k, here - 1);
+            std::memcpy(others + RECORD * k, table + RECORD * indices[slot], RECORD * sizeof(T));
+            const bool counted = (k < here) & (flags[slot] != 0);
+            weight[k] = static_cast<T>(counted);
             count += counted;
         }
         for (int64_t k = 0; k < LANES; ++k) {
-            sums[0][k] += x[k];
-            sums[1][k] += y[k];
-            sums[2][k] += z[k];
-            sums[3][k] += x[k] * x[k];
-            sums[4][k] += x[k] * y[k];
-            sums[5][k] += x[k] * z[k];
-            sums[6][k] += y[k] * y[k];
-            sums[7][k] += y[k] * z[k];
-            sums[8][k] += z[k] * z[k];
+            const T* other = others + RECORD * k;
+            const double w = weight[k];
+            const double x = static_cast<double>(other[0] - own[0]) * w;
+            const double y = static_cast<double>(other[1] - own[1]) * w;
+            const double z = static_cast<double>(other[2] - own[2]) * w;
+            sums[0][k] += x;
+            sums[1][k] += y;
+            sums[2][k] += z;
+            sums[3][k] += x * x;
+            sums[4][k] += x * y;
+            sums[5][k] += x * z;
+            sums[6][k] += y * y;
+            sums[7][k] += y * z;
+            sums[8][k] += z * z;
         }
     }
     const double share = 1.0 / static_cast<double>(std::max<int64_t>(count, 1));
@@ -55,11 +58,12 @@ int64_t covariance(const T* points, const Slots& slots, int64_t row, Matrices<do
 
 template <typename T>
 int64_t normals(const T* points, const double* towards, const Slots& slots, int64_t count, T* out, int64_t threads) {
+    const std::vector<T> table = records(points, count);
     parallel(threads, count, MATRICES, [&](int64_t begin, int64_t end, int64_t) {
         Matrices<double> a{};
         bool flat[MATRICES];
         for (int64_t row = begin; row < end; ++row) {
-            const int64_t i = row - begin, neighbors = covariance(points, slots, row, a, i);
+            const int64_t i = row - begin, neighbors = covariance(table.data(), slots, row, a, i);
             flat[i] = neighbors >= 3 && a.xx[i] + a.yy[i] + a.zz[i] > 0.0;
         }
         diagonalize(a);

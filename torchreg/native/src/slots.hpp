@@ -25,6 +25,16 @@ struct Slots {
 };
 
 constexpr int64_t ROWS = 64;    // a piece of work: some 50 microseconds of 100 slots each
+constexpr int64_t RECORD = 4;   // three numbers of a point and a zero: one load each
 constexpr int64_t BLOCK = 128;  // slots that are worked on at a time, on the stack
+
+// Rows of three numbers (P, 3) as records.
+template <typename T>
+std::vector<T> records(const T* values, int64_t count) {
+    std::vector<T> out(RECORD * count);
+    for (int64_t row = 0; row < count; ++row)
+        for (int64_t axis = 0; axis < 3; ++axis) out[RECORD * row + axis] = values[3 * row + axis];
+    return out;
+}
 
 }  // namespace torchreg
