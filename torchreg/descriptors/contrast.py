@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import colors_of
-from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
@@ -59,7 +59,7 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
     else:
         inner = torch.as_tensor((INNER * positive(radius, "radius")) ** 2).to(near.sq_distance).expand(count, 1)
     values = _contrast(colors, near, inner)
-    return Features(values, cloud.offsets, (("contrast", CONTRAST_SIZE),), valid=(values != 0).any(dim=1))
+    return Features(values, cloud.offsets, (("contrast", CONTRAST_SIZE),), valid=largest_entries(values) != 0)
 
 
 @dataclass(frozen=True, kw_only=True)

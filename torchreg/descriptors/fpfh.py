@@ -17,7 +17,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.pair_features import (
     ANGLE_BINS,
@@ -109,7 +109,7 @@ def fpfh(
     else:
         spfh = simplified_histograms(cloud.points, cloud.normals, near)
         values = add_weighted_neighbors(spfh, near, ANGLE_BINS, keep_own=mode == "open3d")
-    return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=(values != 0).any(dim=1))
+    return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=largest_entries(values) != 0)
 
 
 @dataclass(frozen=True, kw_only=True)

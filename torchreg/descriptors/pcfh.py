@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
-from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
@@ -109,7 +109,7 @@ def pcfh(
             edges=bin_edges(edges, len(channels), bins, values),
             neighbor_weights=slot_weights(neighbor_weights, near, values),
         )
-    return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=(out != 0).any(dim=1))
+    return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=largest_entries(out) != 0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,17 +7,14 @@ namespace {
 
 constexpr int64_t COLUMNS = 10;
 
-// Sums over the neighbors of a point of a channel's difference and of its square, the near ones and all.
-struct Lanes {
-    alignas(64) float near[LANES], near_square[LANES], far[LANES], far_square[LANES];
-};
+constexpr int64_t SUMS = 4;  // of a channel's differences and of their squares, of the near neighbors and of all
 
 // _moments: mean and standard deviation, from sums over `share` reciprocal.
 struct Moments {
     float mean, spread;
-    Moments(const float* sums, const float* squares, float share) {
-        mean = sum_of_lanes(sums) * share;
-        float variance = sum_of_lanes(squares) * share - mean * mean;
+    Moments(float sum, float squares, float share) {
+        mean = sum * share;
+        float variance = squares * share - mean * mean;
         variance = variance < 0.0f ? 0.0f : variance;
         spread = variance * (1.0f / std::sqrt(std::max(variance, std::numeric_limits<float>::min())));
     }
@@ -46,7 +43,8 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
             const float* own = table.data() + RECORD * row;
             const float radius = inner[row];
             const int64_t used = slots.used(row);
-            Lanes sums[3] = {};
+            alignas(64) float lanes[3 * SUMS][LANES] = {};
+            float sums[3 * SUMS];
             int64_t near_count = 0, far_count = 0;
             for (int64_t first = 0; first < used; first += LANES) {
                 alignas(64) float others[RECORD * LANES], core[LANES], whole[LANES];
@@ -64,17 +62,19 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                     for (int64_t k = 0; k < LANES; ++k) {
                         const float value = others[RECORD * k + c] - own[c];
                         const float near = value * core[k], far = value * whole[k];
-                        sums[c].near[k] += near;
-                        sums[c].near_square[k] += near * value;
-                        sums[c].far[k] += far;
-                        sums[c].far_square[k] += far * value;
+                        lanes[SUMS * c][k] += near;
+                        lanes[SUMS * c + 1][k] += near * value;
+                        lanes[SUMS * c + 2][k] += far;
+                        lanes[SUMS * c + 3][k] += far * value;
                     }
             }
+            add_lanes<3 * SUMS>(lanes, sums);
             const float described = far_count > 1 ? 1.0f : 0.0f;
             float* result = out + COLUMNS * row;
             for (int64_t c = 0; c < 3; ++c) {
-                const Moments near(sums[c].near, sums[c].near_square, share_of(near_count));
-                const Moments far(sums[c].far, sums[c].far_square, share_of(far_count));
+                const float* of_channel = sums + SUMS * c;
+                const Moments near(of_channel[0], of_channel[1], share_of(near_count));
+                const Moments far(of_channel[2], of_channel[3], share_of(far_count));
                 const float far_level = own[c] + far.mean + least, near_level = own[c] + near.mean + least;
                 result[3 * c] = near.spread / near_level * described;
                 result[3 * c + 1] = far.spread / far_level * described;

@@ -7,12 +7,13 @@ namespace torchreg {
 
 constexpr int64_t LANES = 16;  // entry k is added to lane k % LANES
 
-// The lanes one after another, in double.
-template <typename T>
-inline T sum_of_lanes(const T* lanes) {
-    double total = 0.0;
-    for (int64_t lane = 0; lane < LANES; ++lane) total += static_cast<double>(lanes[lane]);
-    return static_cast<T>(total);
+// The lanes of `SUMS` sums one after another, in double: side by side, so that no sum waits for another.
+template <int64_t SUMS, typename T>
+inline void add_lanes(const T (*lanes)[LANES], T* out) {
+    double total[SUMS] = {};
+    for (int64_t lane = 0; lane < LANES; ++lane)
+        for (int64_t sum = 0; sum < SUMS; ++sum) total[sum] += static_cast<double>(lanes[sum][lane]);
+    for (int64_t sum = 0; sum < SUMS; ++sum) out[sum] = static_cast<T>(total[sum]);
 }
 
 }  // namespace torchreg

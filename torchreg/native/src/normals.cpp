@@ -43,9 +43,8 @@ int64_t covariance(const T* table, const Slots& slots, int64_t row, Matrices<dou
         }
     }
     const double share = 1.0 / static_cast<double>(std::max<int64_t>(count, 1));
-    double total[9] = {};
-    for (int64_t lane = 0; lane < LANES; ++lane)
-        for (int64_t sum = 0; sum < 9; ++sum) total[sum] += sums[sum][lane];
+    double total[9];
+    add_lanes<9>(sums, total);
     const double mx = total[0] * share, my = total[1] * share, mz = total[2] * share;
     out.xx[i] = total[3] * share - mx * mx;
     out.xy[i] = total[4] * share - mx * my;
