@@ -15,9 +15,13 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.native import call, native
 
 TILE_ELEMENTS = 1 << 18
 """Pairs that are compared at once: 1 MB of float32 each temporary."""
+
+KERNELS = {torch.float32: "f32", torch.float64: "f64"}
+"""The ends of the names of compiled kernels, by the type of the numbers that they take."""
 
 
 def agreeing(source: Tensor, target: Tensor, others: tuple[Tensor, Tensor], threshold: float, spare: Tensor) -> Tensor:
@@ -38,7 +42,7 @@ def lengths(points: Tensor, others: Tensor, out: Tensor, between: Tensor) -> Ten
     torch.mul(between, between, out=out)
     for i in (1, 2):
         torch.sub(points[i, :, None], others[i], out=between)
-        out.addcmul_(between, between)
+        out.add_(between.mul_(between))  # addcmul_ would round once on some processors, and twice on others
     return out.sqrt_()
 
 
@@ -46,6 +50,10 @@ def first_order(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     """A (N, N) float32 of zeros and ones of correspondences (3, N) twice, the diagonal zero."""
     count = source.shape[1]
     graph = torch.empty(count, count, dtype=torch.float32, device=source.device)
+    if native(source, target) and source.dtype in KERNELS:
+        sides = (source.contiguous(), target.contiguous())
+        call(f"first_order_{KERNELS[source.dtype]}", *sides, count, float(threshold), graph)
+        return graph
     spare = source.new_empty(3, min(count * count, max(count, TILE_ELEMENTS)))
     for rows in row_chunks(count, count, TILE_ELEMENTS):
         graph[rows] = agreeing(source[:, rows], target[:, rows], (source, target), threshold, spare)

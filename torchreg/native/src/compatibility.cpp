@@ -1,0 +1,267 @@
+// The graph of correspondences that keep their distances, the consensus sets in it, and their moments
+// (torchreg/solvers/compatibility/graph.py and sets.py).
+#include "agreement.hpp"
+
+#include <functional>
+
+using namespace torchreg;
+
+namespace {
+
+using Word = uint64_t;
+
+struct Bits {  // rows of bits
+    int64_t words;
+    std::vector<Word> rows;
+
+    Bits(int64_t count, int64_t width) : words((width + 63) / 64), rows(count * words) {}
+    Word* row(int64_t i) { return rows.data() + i * words; }
+    const Word* row(int64_t i) const { return rows.data() + i * words; }
+};
+
+inline bool holds(const Word* row, int64_t j) { return (row[j >> 6] >> (j & 63)) & 1; }
+
+inline void set(Word* row, int64_t j) { row[j >> 6] |= Word(1) << (j & 63); }
+
+#if defined(_MSC_VER)
+inline int64_t ones(Word word) {
+    word -= (word >> 1) & 0x5555555555555555ull;
+    word = (word & 0x3333333333333333ull) + ((word >> 2) & 0x3333333333333333ull);
+    return int64_t((((word + (word >> 4)) & 0x0f0f0f0f0f0f0f0full) * 0x0101010101010101ull) >> 56);
+}
+inline int64_t lowest(Word word) { return ones((word & (0 - word)) - 1); }
+#else
+inline int64_t ones(Word word) { return __builtin_popcountll(word); }
+inline int64_t lowest(Word word) { return __builtin_ctzll(word); }
+#endif
+
+inline int64_t common(const Word* one, const Word* other, int64_t words) {
+    int64_t count = 0;
+    for (int64_t w = 0; w < words; ++w) count += ones(one[w] & other[w]);
+    return count;
+}
+
+// Call visit(j) for the bits that are set in a row, ascending.
+template <typename Visit>
+inline void each(const Word* row, int64_t words, Visit visit) {
+    for (int64_t w = 0; w < words; ++w)
+        for (Word left = row[w]; left != 0; left &= left - 1) visit(w * 64 + lowest(left));
+}
+
+constexpr int64_t PLACES = 1 << 12;  // more than there are columns: a count and a column in one key, all distinct
+
+// The `number` keys that are greatest, in falling order, first.
+inline void keep_largest(std::vector<int64_t>& keys, int64_t number) {
+    const auto end = keys.begin() + std::min<int64_t>(number, keys.size());
+    if (end != keys.end()) std::nth_element(keys.begin(), end, keys.end(), std::greater<int64_t>());
+    std::sort(keys.begin(), end, std::greater<int64_t>());
+    keys.erase(end, keys.end());
+}
+
+class Seeds {  // the sets of one seed after another, in memory of one thread
+  public:
+    Seeds(const Bits& graph, int64_t count, int64_t wide, int64_t narrow)
+        : graph_(graph), count_(count), wide_(wide), narrow_(narrow), inside_(wide + 1, wide + 1),
+          kept_(narrow, narrow), stride_((narrow + 7) / 8 * 8), member_(wide + 1), place_(narrow),
+          agreement_(narrow * stride_), vector_(stride_), next_(stride_), positive_(graph.words) {}
+
+    void form(int64_t seed, int64_t* members, double* weights) {
+        choose_partners(seed);
+        choose_members();
+        for (int64_t a = 0; a < narrow_; ++a) members[a] = member_[place_[a]];
+        weigh();
+        std::copy_n(vector_.data(), narrow_, weights);
+    }
+
+  private:
+    // The seed, and those that share the most partners with it; of equal ones the earlier first.
+    void choose_partners(int64_t seed) {
+        const Word* row = graph_.row(seed);
+        keys_.clear();
+        each(row, graph_.words, [&](int64_t j) {
+            const int64_t shared = common(row, graph_.row(j), graph_.words);
+            if (shared > 0) keys_.push_back(shared * PLACES + (PLACES - 1 - j));
+        });
+        keep_largest(keys_, wide_);
+        member_[0] = seed;
+        int64_t filled = 1;
+        for (const int64_t key : keys_) member_[filled++] = PLACES - 1 - key % PLACES;
+        if (filled > wide_) return;
+        std::fill(positive_.begin(), positive_.end(), Word(0));
+        for (int64_t a = 0; a < filled; ++a) set(positive_.data(), member_[a]);
+        for (int64_t j = 0; filled <= wide_; ++j)
+            if (!holds(positive_.data(), j)) member_[filled++] = j;
+    }
+
+    // Of these, those that share the most partners with the seed inside the set.
+    void choose_members() {
+        const int64_t size = wide_ + 1;
+        std::fill(inside_.rows.begin(), inside_.rows.end(), Word(0));
+        for (int64_t a = 0; a < size; ++a) {
+            const Word* row = graph_.row(member_[a]);
+            for (int64_t b = 0; b < a; ++b) {
+                const Word bit = holds(row, member_[b]);
+                inside_.row(a)[b >> 6] |= bit << (b & 63);
+                inside_.row(b)[a >> 6] |= bit << (a & 63);
+            }
+        }
+        keys_.clear();
+        for (int64_t b = 1; b < size; ++b) {
+            const int64_t shared =
+                holds(inside_.row(0), b) ? common(inside_.row(0), inside_.row(b), inside_.words) : 0;
+            keys_.push_back(shared * PLACES + (PLACES - 1 - b));
+        }
+        keep_largest(keys_, narrow_ - 1);
+        place_[0] = 0;
+        for (int64_t a = 1; a < narrow_; ++a) place_[a] = PLACES - 1 - keys_[a - 1] % PLACES;
+    }
+
+    // The leading eigenvector of the members' second order, unscaled: whole numbers.
+    void weigh() {
+        std::fill(kept_.rows.begin(), kept_.rows.end(), Word(0));
+        for (int64_t a = 0; a < narrow_; ++a) {
+            const Word* row = inside_.row(place_[a]);
+            for (int64_t b = 0; b < narrow_; ++b) kept_.row(a)[b >> 6] |= Word(holds(row, place_[b])) << (b & 63);
+        }
+        std::fill(agreement_.begin(), agreement_.end(), 0.0);
+        std::fill(vector_.begin(), vector_.end(), 0.0);
+        for (int64_t a = 0; a < narrow_; ++a)
+            each(kept_.row(a), kept_.words, [&](int64_t b) {
+                const double shared = double(common(kept_.row(a), kept_.row(b), kept_.words));
+                agreement_[a * stride_ + b] = shared;
+                vector_[a] += shared;
+            });
+        for (int64_t iteration = 1; iteration < 4; ++iteration) {
+            std::fill(next_.begin(), next_.end(), 0.0);
+            for (int64_t a = 0; a < narrow_; ++a) {
+                const double value = vector_[a];
+                const double* row = agreement_.data() + a * stride_;
+                double* out = next_.data();
+                for (int64_t b = 0; b < stride_; ++b) out[b] += row[b] * value;
+            }
+            vector_.swap(next_);
+        }
+    }
+
+    const Bits& graph_;
+    const int64_t count_, wide_, narrow_;
+    Bits inside_, kept_;
+    const int64_t stride_;
+    std::vector<int64_t> member_, place_, keys_;
+    std::vector<double> agreement_, vector_, next_;
+    std::vector<Word> positive_;
+};
+
+template <typename Real>
+int64_t first_order(const Real* source, const Real* target, int64_t count, double threshold, float* graph,
+                    int64_t threads) {
+    const Sides<Real> points{source, target, count};
+    parallel(threads, count, 65536 / std::max<int64_t>(1, count) + 1, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t i = begin; i < end; ++i) {
+            float* row = graph + i * count;
+            const Real limit = Real(threshold);
+            const auto one = points.at(i);
+            for (int64_t j = 0; j < count; ++j) row[j] = one.gap(points, j) < limit ? 1.0f : 0.0f;
+            row[i] = 0.0f;
+        }
+    });
+    return 0;
+}
+
+// Six sums of three means' squares: whether the second principal spread is not small beside the first.
+inline bool spans_plane(double xx, double yy, double zz, double xy, double xz, double yz, double least) {
+    const double trace = xx + yy + zz;
+    const double minors = (xx * yy - xy * xy) + (xx * zz - xz * xz) + (yy * zz - yz * yz);
+    return minors > least * trace * trace;
+}
+
+}  // namespace
+
+// Graphs (count, count) of zeros and ones of correspondences (3, count) twice in meters: graph.first_order.
+KERNEL first_order_f32(const float* source, const float* target, int64_t count, double threshold, float* graph,
+                       int64_t threads) {
+    return first_order(source, target, count, threshold, graph, threads);
+}
+KERNEL first_order_f64(const double* source, const double* target, int64_t count, double threshold, float* graph,
+                       int64_t threads) {
+    return first_order(source, target, count, threshold, graph, threads);
+}
+
+// The sets of all nodes of a symmetric graph (count, count) of zeros and ones, the diagonal zero: sets.consensus_sets.
+// `wide` is below count, `narrow` at most wide + 1; members (count, narrow) and weights (count, narrow).
+KERNEL consensus_sets(const float* graph, int64_t count, int64_t wide, int64_t narrow, int64_t* members,
+                      double* weights, int64_t threads) {
+    Bits bits(count, count);
+    parallel(threads, count, 131072 / std::max<int64_t>(1, count) + 1, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t i = begin; i < end; ++i) {
+            const float* values = graph + i * count;
+            Word* row = bits.row(i);
+            for (int64_t w = 0; w < bits.words; ++w) {
+                const int64_t width = std::min<int64_t>(64, count - w * 64);
+                Word word = 0;
+                for (int64_t j = 0; j < width; ++j) word |= Word(values[w * 64 + j] != 0.0f) << j;
+                row[w] = word;
+            }
+        }
+    });
+    parallel(threads, count, 32, [&](int64_t begin, int64_t end, int64_t) {
+        Seeds seeds(bits, count, wide, narrow);
+        for (int64_t seed = begin; seed < end; ++seed)
+            seeds.form(seed, members + seed * narrow, weights + seed * narrow);
+    });
+    return 0;
+}
+
+// Moments of sets (sets, size) of members and weights of the points (3, count) twice, sums in the order of the members:
+// means (sets, 3) twice, covariances (sets, 3, 3), and whether both sides spread across a line, by the square of the
+// least sine: sets._moments.
+KERNEL set_moments(const double* source, const double* target, int64_t count, const int64_t* members,
+                   const double* weights, int64_t sets, int64_t size, double least, double* source_mean,
+                   double* target_mean, double* covariance, bool* broad, int64_t threads) {
+    parallel(threads, sets, 4096 / std::max<int64_t>(1, size) + 1, [&](int64_t begin, int64_t end, int64_t) {
+        std::vector<double> memory(7 * size);
+        double* share = memory.data() + 6 * size;
+        for (int64_t s = begin; s < end; ++s) {
+            const int64_t* member = members + s * size;
+            const double* weight = weights + s * size;
+            double total = 0.0;
+            for (int64_t k = 0; k < size; ++k) total += weight[k];
+            const double divisor = total > 0 ? total : 1.0;
+            double mean[6] = {0, 0, 0, 0, 0, 0};
+            for (int64_t k = 0; k < size; ++k) {
+                share[k] = weight[k] / divisor;
+                double* point = memory.data() + 6 * k;
+                for (int64_t i = 0; i < 3; ++i) {
+                    point[i] = source[i * count + member[k]];
+                    point[3 + i] = target[i * count + member[k]];
+                }
+                for (int64_t i = 0; i < 6; ++i) mean[i] += point[i] * share[k];
+            }
+            double cross[9] = {}, of_source[9] = {}, of_target[9] = {};
+            for (int64_t k = 0; k < size; ++k) {
+                const double* point = memory.data() + 6 * k;
+                double p[3], q[3], weighted[3], other[3];
+                for (int64_t i = 0; i < 3; ++i) {
+                    p[i] = point[i] - mean[i];
+                    q[i] = point[3 + i] - mean[3 + i];
+                    weighted[i] = p[i] * share[k];
+                    other[i] = q[i] * share[k];
+                }
+                for (int64_t i = 0; i < 3; ++i)
+                    for (int64_t j = 0; j < 3; ++j) {
+                        cross[3 * i + j] += weighted[i] * q[j];
+                        of_source[3 * i + j] += weighted[i] * p[j];
+                        of_target[3 * i + j] += other[i] * q[j];
+                    }
+            }
+            std::copy_n(mean, 3, source_mean + 3 * s);
+            std::copy_n(mean + 3, 3, target_mean + 3 * s);
+            std::copy_n(cross, 9, covariance + 9 * s);
+            bool both = total > 0;
+            for (const double* m : {of_source, of_target})
+                both = spans_plane(m[0], m[4], m[8], m[1], m[2], m[5], least) && both;
+            broad[s] = both;
+        }
+    });
+    return 0;
+}
