@@ -2,8 +2,6 @@
 // (torchreg/solvers/compatibility/graph.py and sets.py).
 #include "agreement.hpp"
 
-#include <functional>
-
 using namespace torchreg;
 
 namespace {
@@ -48,80 +46,99 @@ inline void each(const Word* row, int64_t words, Visit visit) {
         for (Word left = row[w]; left != 0; left &= left - 1) visit(w * 64 + lowest(left));
 }
 
-constexpr int64_t PLACES = 1 << 12;  // more than there are columns: a count and a column in one key, all distinct
+// Puts numbers in falling order of their counts, equal ones in the order they came in: by places for every count.
+class Ranking {
+  public:
+    explicit Ranking(int64_t most) : first_(most + 2, 0) { numbers_.reserve(most), counts_.reserve(most); }
 
-// The `number` keys that are greatest, in falling order, first.
-inline void keep_largest(std::vector<int64_t>& keys, int64_t number) {
-    const auto end = keys.begin() + std::min<int64_t>(number, keys.size());
-    if (end != keys.end()) std::nth_element(keys.begin(), end, keys.end(), std::greater<int64_t>());
-    std::sort(keys.begin(), end, std::greater<int64_t>());
-    keys.erase(end, keys.end());
-}
+    void clear() { numbers_.clear(), counts_.clear(), highest_ = 0; }
+
+    void add(int64_t number, int64_t count) {
+        numbers_.push_back(int32_t(number));
+        counts_.push_back(int32_t(count));
+        highest_ = std::max(highest_, count);
+    }
+
+    // The `most` highest; returns how many there are.
+    int64_t take(int64_t most, int64_t* out) {
+        std::fill_n(first_.begin(), highest_ + 1, 0);
+        for (const int32_t count : counts_) ++first_[count];
+        int32_t total = 0;
+        for (int64_t count = highest_; count >= 0; --count) {
+            const int32_t here = first_[count];
+            first_[count] = total;
+            total += here;
+        }
+        for (size_t k = 0; k < numbers_.size(); ++k) {
+            const int32_t place = first_[counts_[k]]++;
+            if (place < most) out[place] = numbers_[k];
+        }
+        return std::min<int64_t>(most, numbers_.size());
+    }
+
+  private:
+    std::vector<int32_t> first_, numbers_, counts_;
+    int64_t highest_ = 0;
+};
 
 class Seeds {  // the sets of one seed after another, in memory of one thread
   public:
     Seeds(const Bits& graph, int64_t count, int64_t wide, int64_t narrow)
-        : graph_(graph), count_(count), wide_(wide), narrow_(narrow), inside_(wide + 1, wide + 1),
-          kept_(narrow, narrow), stride_((narrow + 7) / 8 * 8), member_(wide + 1), place_(narrow),
-          agreement_(narrow * stride_), vector_(stride_), next_(stride_), positive_(graph.words) {}
+        : graph_(graph), wide_(wide), narrow_(narrow), ranking_(count), mask_(1, count), kept_(narrow, narrow),
+          stride_((narrow + 7) / 8 * 8), partners_(wide + 1), places_(wide + 1), member_(narrow),
+          agreement_(narrow * stride_), vector_(stride_), next_(stride_) {}
 
     void form(int64_t seed, int64_t* members, double* weights) {
         choose_partners(seed);
-        choose_members();
-        for (int64_t a = 0; a < narrow_; ++a) members[a] = member_[place_[a]];
+        choose_members(seed);
         weigh();
+        std::copy_n(member_.data(), narrow_, members);
         std::copy_n(vector_.data(), narrow_, weights);
     }
 
   private:
-    // The seed, and those that share the most partners with it; of equal ones the earlier first.
+    // Those that share the most partners with the seed; of equal ones the earlier first.
     void choose_partners(int64_t seed) {
         const Word* row = graph_.row(seed);
-        keys_.clear();
+        ranking_.clear();
         each(row, graph_.words, [&](int64_t j) {
             const int64_t shared = common(row, graph_.row(j), graph_.words);
-            if (shared > 0) keys_.push_back(shared * PLACES + (PLACES - 1 - j));
+            if (shared > 0) ranking_.add(j, shared);
         });
-        keep_largest(keys_, wide_);
-        member_[0] = seed;
-        int64_t filled = 1;
-        for (const int64_t key : keys_) member_[filled++] = PLACES - 1 - key % PLACES;
-        if (filled > wide_) return;
-        std::fill(positive_.begin(), positive_.end(), Word(0));
-        for (int64_t a = 0; a < filled; ++a) set(positive_.data(), member_[a]);
-        for (int64_t j = 0; filled <= wide_; ++j)
-            if (!holds(positive_.data(), j)) member_[filled++] = j;
+        int64_t filled = ranking_.take(wide_, partners_.data());
+        if (filled == wide_) return;
+        mark(filled);
+        for (int64_t j = 0; filled < wide_; ++j)
+            if (j != seed && !holds(mask_.row(0), j)) partners_[filled++] = j;
     }
 
     // Of these, those that share the most partners with the seed inside the set.
-    void choose_members() {
-        const int64_t size = wide_ + 1;
-        std::fill(inside_.rows.begin(), inside_.rows.end(), Word(0));
-        for (int64_t a = 0; a < size; ++a) {
-            const Word* row = graph_.row(member_[a]);
-            for (int64_t b = 0; b < a; ++b) {
-                const Word bit = holds(row, member_[b]);
-                inside_.row(a)[b >> 6] |= bit << (b & 63);
-                inside_.row(b)[a >> 6] |= bit << (a & 63);
-            }
+    void choose_members(int64_t seed) {
+        const Word* row = graph_.row(seed);
+        mark(wide_);
+        for (int64_t w = 0; w < graph_.words; ++w) mask_.row(0)[w] &= row[w];
+        ranking_.clear();
+        for (int64_t b = 0; b < wide_; ++b) {
+            const int64_t partner = partners_[b];
+            ranking_.add(b, holds(row, partner) ? common(mask_.row(0), graph_.row(partner), graph_.words) : 0);
         }
-        keys_.clear();
-        for (int64_t b = 1; b < size; ++b) {
-            const int64_t shared =
-                holds(inside_.row(0), b) ? common(inside_.row(0), inside_.row(b), inside_.words) : 0;
-            keys_.push_back(shared * PLACES + (PLACES - 1 - b));
-        }
-        keep_largest(keys_, narrow_ - 1);
-        place_[0] = 0;
-        for (int64_t a = 1; a < narrow_; ++a) place_[a] = PLACES - 1 - keys_[a - 1] % PLACES;
+        ranking_.take(narrow_ - 1, places_.data());
+        member_[0] = seed;
+        for (int64_t a = 1; a < narrow_; ++a) member_[a] = partners_[places_[a - 1]];
+    }
+
+    // Set the bits of the first partners alone.
+    void mark(int64_t number) {
+        std::fill(mask_.rows.begin(), mask_.rows.end(), Word(0));
+        for (int64_t b = 0; b < number; ++b) set(mask_.row(0), partners_[b]);
     }
 
     // The leading eigenvector of the members' second order, unscaled: whole numbers.
     void weigh() {
         std::fill(kept_.rows.begin(), kept_.rows.end(), Word(0));
         for (int64_t a = 0; a < narrow_; ++a) {
-            const Word* row = inside_.row(place_[a]);
-            for (int64_t b = 0; b < narrow_; ++b) kept_.row(a)[b >> 6] |= Word(holds(row, place_[b])) << (b & 63);
+            const Word* row = graph_.row(member_[a]);
+            for (int64_t b = 0; b < narrow_; ++b) kept_.row(a)[b >> 6] |= Word(holds(row, member_[b])) << (b & 63);
         }
         std::fill(agreement_.begin(), agreement_.end(), 0.0);
         std::fill(vector_.begin(), vector_.end(), 0.0);
@@ -144,12 +161,12 @@ class Seeds {  // the sets of one seed after another, in memory of one thread
     }
 
     const Bits& graph_;
-    const int64_t count_, wide_, narrow_;
-    Bits inside_, kept_;
+    const int64_t wide_, narrow_;
+    Ranking ranking_;
+    Bits mask_, kept_;
     const int64_t stride_;
-    std::vector<int64_t> member_, place_, keys_;
+    std::vector<int64_t> partners_, places_, member_;
     std::vector<double> agreement_, vector_, next_;
-    std::vector<Word> positive_;
 };
 
 template <typename Real>
