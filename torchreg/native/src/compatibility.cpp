@@ -1,6 +1,7 @@
 // The graph of correspondences that keep their distances, the consensus sets in it, and their moments
 // (torchreg/solvers/compatibility/graph.py and sets.py).
 #include "agreement.hpp"
+#include "rotation.hpp"
 
 using namespace torchreg;
 
@@ -229,12 +230,12 @@ KERNEL consensus_sets(const float* graph, int64_t count, int64_t wide, int64_t n
     return 0;
 }
 
-// Moments of sets (sets, size) of members and weights of the points (3, count) twice, sums in the order of the members:
-// means (sets, 3) twice, covariances (sets, 3, 3), and whether both sides spread across a line, by the square of the
-// least sine: sets._moments.
-KERNEL set_moments(const double* source, const double* target, int64_t count, const int64_t* members,
-                   const double* weights, int64_t sets, int64_t size, double least, double* source_mean,
-                   double* target_mean, double* covariance, bool* broad, int64_t threads) {
+// Weighted least squares of sets (sets, size) of members and weights of the points (3, count) twice, sums in the order
+// of the members: rotations (3, 3, sets), translations (3, sets), and whether both sides spread across a line, by the
+// square of the least sine: sets.fit_sets.
+KERNEL fit_sets(const double* source, const double* target, int64_t count, const int64_t* members,
+                const double* weights, int64_t sets, int64_t size, double least, double* rotation, double* translation,
+                bool* broad, int64_t threads) {
     parallel(threads, sets, 4096 / std::max<int64_t>(1, size) + 1, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<double> memory(7 * size);
         double* share = memory.data() + 6 * size;
@@ -271,9 +272,11 @@ KERNEL set_moments(const double* source, const double* target, int64_t count, co
                         of_target[3 * i + j] += other[i] * q[j];
                     }
             }
-            std::copy_n(mean, 3, source_mean + 3 * s);
-            std::copy_n(mean + 3, 3, target_mean + 3 * s);
-            std::copy_n(cross, 9, covariance + 9 * s);
+            double R[9], t[3];
+            best_rotation(cross, R);
+            best_translation(R, mean, mean + 3, t);
+            for (int64_t i = 0; i < 9; ++i) rotation[i * sets + s] = R[i];
+            for (int64_t i = 0; i < 3; ++i) translation[i * sets + s] = t[i];
             bool both = total > 0;
             for (const double* m : {of_source, of_target})
                 both = spans_plane(m[0], m[4], m[8], m[1], m[2], m[5], least) && both;

@@ -16,12 +16,10 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.native import call, native
+from torchreg.solvers.points import KERNEL_TYPES
 
 TILE_ELEMENTS = 1 << 18
 """Pairs that are compared at once: 1 MB of float32 each temporary."""
-
-KERNELS = {torch.float32: "f32", torch.float64: "f64"}
-"""The ends of the names of compiled kernels, by the type of the numbers that they take."""
 
 
 def agreeing(source: Tensor, target: Tensor, others: tuple[Tensor, Tensor], threshold: float, spare: Tensor) -> Tensor:
@@ -50,9 +48,9 @@ def first_order(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     """A (N, N) float32 of zeros and ones of correspondences (3, N) twice, the diagonal zero."""
     count = source.shape[1]
     graph = torch.empty(count, count, dtype=torch.float32, device=source.device)
-    if native(source, target) and source.dtype in KERNELS:
+    if native(source, target) and source.dtype in KERNEL_TYPES:
         sides = (source.contiguous(), target.contiguous())
-        call(f"first_order_{KERNELS[source.dtype]}", *sides, count, float(threshold), graph)
+        call(f"first_order_{KERNEL_TYPES[source.dtype]}", *sides, count, float(threshold), graph)
         return graph
     spare = source.new_empty(3, min(count * count, max(count, TILE_ELEMENTS)))
     for rows in row_chunks(count, count, TILE_ELEMENTS):

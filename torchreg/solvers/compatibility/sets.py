@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.geometry.kabsch import from_moments
+from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.sums import sum_in_order
 from torchreg.native import call, native
@@ -58,29 +58,25 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
     """
     sets, size = members.shape
     if native(source, target, members, weights):
-        mean_p, mean_q = source.new_empty(2, sets, 3)
-        covariance, fixed = source.new_empty(sets, 3, 3), torch.empty(sets, dtype=torch.bool)
-        sides = (source.contiguous(), target.contiguous())
-        of_sets = (members.contiguous(), weights.contiguous(), sets, size, _MIN_SINE * _MIN_SINE)
-        call("set_moments", *sides, source.shape[1], *of_sets, mean_p, mean_q, covariance, fixed)
-    else:
-        parts = [
-            _moments(source, target, members[rows].t(), weights[rows].t().contiguous())
-            for rows in row_chunks(sets, 9 * size)
-        ]
-        none = [
-            source.new_zeros(0, 3),
-            source.new_zeros(0, 3),
-            source.new_zeros(0, 3, 3),
-            weights.new_zeros(0, dtype=torch.bool),
-        ]
-        mean_p, mean_q, covariance, fixed = (torch.cat(part) for part in zip(none, *parts, strict=True))
-    T = from_moments(mean_p, mean_q, covariance)
-    return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t(), fixed
+        rotation, translation = source.new_empty(3, 3, sets), source.new_empty(3, sets)
+        fixed = torch.empty(sets, dtype=torch.bool)
+        points = (source.contiguous(), target.contiguous(), source.shape[1])
+        of_sets = (members.contiguous(), weights.contiguous(), sets, size)
+        call("fit_sets", *points, *of_sets, _MIN_SINE * _MIN_SINE, rotation, translation, fixed)
+        return rotation, translation, fixed
+    none = [source.new_zeros(*shape, 0) for shape in ((3,), (3,), (3, 3))]
+    parts = [
+        _moments(source, target, members[rows].t(), weights[rows].t().contiguous())
+        for rows in row_chunks(sets, 9 * size)
+    ]
+    none.append(weights.new_zeros(0, dtype=torch.bool))
+    mean_p, mean_q, covariance, fixed = (torch.cat(part, dim=-1) for part in zip(none, *parts, strict=True))
+    rotation = best_rotation(covariance)
+    return rotation, best_translation(rotation, mean_p, mean_q), fixed
 
 
 def _moments(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Of members and weights (K, S): means (S, 3) twice, covariances (S, 3, 3), and which spread across a line."""
+    """Of members and weights (K, S): means (3, S) twice, covariances (3, 3, S), and which spread across a line."""
     total = sum_in_order(weights)
     share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
     p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
@@ -90,7 +86,7 @@ def _moments(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
     covariance = sum_in_order(weighted[:, None] * q[None])  # (3, 3, S)
     broad = _spans_plane(sum_in_order(weighted[:, None] * p[None]))
     broad &= _spans_plane(sum_in_order((q * share)[:, None] * q[None]))
-    return mean_p.t(), mean_q.t(), covariance.permute(2, 0, 1), broad & (total > 0)
+    return mean_p, mean_q, covariance, broad & (total > 0)
 
 
 def _largest(counts: Tensor, number: int) -> Tensor:
