@@ -34,11 +34,12 @@ def best_rotation(covariance: Tensor) -> Tensor:
     matrix = _leading(covariance)  # (4, 4, H)
     most = matrix.diagonal().argmax(dim=1)  # (H,)
     column = matrix.gather(0, most.expand(1, 4, -1))[0]  # (4, H)
-    w, x, y, z = column / _in_order(column * column).sqrt()
+    w, x, y, z = column
+    twice = 2.0 / _in_order(column * column)
     rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        [1.0 - twice * (y * y + z * z), twice * (x * y - w * z), twice * (x * z + w * y)],
+        [twice * (x * y + w * z), 1.0 - twice * (x * x + z * z), twice * (y * z - w * x)],
+        [twice * (x * z - w * y), twice * (y * z + w * x), 1.0 - twice * (x * x + y * y)],
     ]
     return torch.stack([torch.stack(row) for row in rows])
 
@@ -52,7 +53,7 @@ def best_translation(rotation: Tensor, source_mean: Tensor, target_mean: Tensor)
 def _leading(covariance: Tensor) -> Tensor:
     """Matrices (4, 4, H) whose columns all point along the leading eigenvectors of N."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(0) for row in covariance.unbind(0))
-    shift = (3.0 * _in_order((covariance * covariance).flatten(0, 1))).sqrt()  # no eigenvalue of N is greater
+    shift = _in_order(covariance.abs().flatten(0, 1))  # no eigenvalue of N is greater
     above = [yz - zy, zx - xz, xy - yx, xy + yx, zx + xz, yz + zy]
     diagonal = [part + shift for part in (xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy)]
     rows = [

@@ -1,15 +1,9 @@
-// By how much the distances of two correspondences differ on the two sides (torchreg/solvers/compatibility/graph.py).
+// Whether two correspondences keep their distance (torchreg/solvers/compatibility/graph.py).
 #pragma once
 
 #include "common.hpp"
 
 namespace torchreg {
-
-// The distance of points i and j by the coordinates of their difference; basic operations in the order of torch's.
-template <typename Real>
-inline Real squared(Real x, Real y, Real z) {
-    return x * x + y * y + z * z;
-}
 
 template <typename Real>
 struct Sides {  // correspondences (3, count) twice, meters
@@ -20,15 +14,18 @@ struct Sides {  // correspondences (3, count) twice, meters
     struct Point {
         Real p[3], q[3];
 
-        // The difference of the two distances to correspondence j of others.
-        Real gap(const Sides& others, int64_t j) const {
-            return std::abs(std::sqrt(from_source(others, j)) - std::sqrt(from_target(others, j)));
+        // Whether the two distances to correspondence j of others differ by the threshold at most, per_square being
+        // one over its square.
+        bool agrees(const Sides& others, int64_t j, Real per_square) const {
+            const Real a = square(p, others.source, others.count, j) * per_square;
+            const Real b = square(q, others.target, others.count, j) * per_square;
+            const Real u = (a - b) * (a - b) - (a + b);
+            return u * std::abs(u) <= a * Real(4) * b;
         }
-        Real from_source(const Sides& others, int64_t j) const { return from(p, others.source, others.count, j); }
-        Real from_target(const Sides& others, int64_t j) const { return from(q, others.target, others.count, j); }
 
-        static Real from(const Real* point, const Real* side, int64_t count, int64_t j) {
-            return squared(point[0] - side[j], point[1] - side[count + j], point[2] - side[2 * count + j]);
+        static Real square(const Real* point, const Real* side, int64_t count, int64_t j) {
+            const Real x = point[0] - side[j], y = point[1] - side[count + j], z = point[2] - side[2 * count + j];
+            return x * x + y * y + z * z;
         }
     };
 

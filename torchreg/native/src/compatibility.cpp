@@ -171,16 +171,117 @@ class Seeds {  // the sets of one seed after another, in memory of one thread
 };
 
 template <typename Real>
-int64_t first_order(const Real* source, const Real* target, int64_t count, double threshold, float* graph,
+int64_t first_order(const Real* source, const Real* target, int64_t count, double per_square, float* graph,
                     int64_t threads) {
     const Sides<Real> points{source, target, count};
     parallel(threads, count, 65536 / std::max<int64_t>(1, count) + 1, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t i = begin; i < end; ++i) {
             float* row = graph + i * count;
-            const Real limit = Real(threshold);
             const auto one = points.at(i);
-            for (int64_t j = 0; j < count; ++j) row[j] = one.gap(points, j) < limit ? 1.0f : 0.0f;
+            for (int64_t j = 0; j < count; ++j) row[j] = one.agrees(points, j, Real(per_square)) ? 1.0f : 0.0f;
             row[i] = 0.0f;
+        }
+    });
+    return 0;
+}
+
+constexpr int64_t WIDE = 2048;  // correspondences beside which others are compared: they stay in the first cache
+
+// How many of others in [begin, end) agree with a correspondence; where `both`, each of these counts it too.
+template <bool both, typename Real>
+inline int32_t compare(const typename Sides<Real>::Point& one, const Sides<Real>& others, int64_t begin, int64_t end,
+                       Real per_square, int32_t* degree) {
+    int32_t count = 0;
+    for (int64_t j = begin; j < end; ++j) {
+        const int32_t agrees = one.agrees(others, j, per_square);
+        count += agrees;
+        if (both) degree[j] += agrees;
+    }
+    return count;
+}
+
+template <typename Real>
+int64_t degrees(const Real* source, const Real* target, int64_t count, double per_square, Real* degree,
+                int64_t threads) {
+    const Sides<Real> points{source, target, count};
+    const int64_t blocks = (count + WIDE - 1) / WIDE;
+    const int64_t workers = std::max<int64_t>(1, std::min(threads, blocks * (blocks + 1) / 2));
+    std::vector<int32_t> counts(workers * count, 0);
+    parallel(workers, blocks * (blocks + 1) / 2, 1, [&](int64_t begin, int64_t end, int64_t worker) {
+        int32_t* own = counts.data() + worker * count;
+        for (int64_t piece = begin; piece < end; ++piece) {
+            int64_t down = 0, across = piece;  // of the triangle of blocks
+            while (across >= blocks - down) across -= blocks - down++;
+            const int64_t first = down * WIDE, last = std::min(first + WIDE, count);
+            const int64_t left = (down + across) * WIDE, right = std::min(left + WIDE, count);
+            for (int64_t i = first; i < last; ++i)
+                own[i] += across > 0 ? compare<true>(points.at(i), points, left, right, Real(per_square), own)
+                                     : compare<false>(points.at(i), points, first, last, Real(per_square), own);
+        }
+    });
+    for (int64_t i = 0; i < count; ++i) {
+        int32_t total = 0;
+        for (int64_t worker = 0; worker < workers; ++worker) total += counts[worker * count + i];
+        degree[i] = Real(total);
+    }
+    return 0;
+}
+
+template <typename Real>
+int64_t degrees_among(const Real* source, const Real* target, int64_t count, const Real* other_source,
+                      const Real* other_target, int64_t others, double per_square, Real* degree, int64_t threads) {
+    const Sides<Real> points{source, target, count}, among{other_source, other_target, others};
+    parallel(threads, count, 65536 / std::max<int64_t>(1, others) + 1, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t i = begin; i < end; ++i)
+            degree[i] = Real(compare<false>(points.at(i), among, 0, others, Real(per_square), nullptr));
+    });
+    return 0;
+}
+
+// Counts of the distances of one point from anchors (3, number), in bins by their squares times per_square.
+template <typename Real>
+inline void histogram(const Real* point, const Real* anchors, int64_t number, Real per_square, int64_t bins,
+                      Real* bin, int32_t* counts) {
+    const Real last = Real(bins - 1);
+    for (int64_t j = 0; j < number; ++j) {
+        const Real square = Sides<Real>::Point::square(point, anchors, number, j) * per_square;
+        Real k = std::min(std::floor(std::sqrt(square)), last);
+        k += Real((k + 1) * (k + 1) <= square);
+        k -= Real(k * k > square);
+        bin[j] = std::min(k, last);
+    }
+    std::fill_n(counts, bins, 0);
+    for (int64_t j = 0; j < number; ++j) ++counts[int64_t(bin[j])];
+}
+
+// The sum over bins of the products of two histograms, each summed over neighboring bins.
+inline double alike(const int32_t* one, const int32_t* other, int64_t bins, int64_t smoothed) {
+    int64_t total = 0, sum_one = 0, sum_other = 0;
+    for (int64_t k = 0; k < bins + smoothed - 1; ++k) {
+        sum_one += k < bins ? one[k] : 0;
+        sum_other += k < bins ? other[k] : 0;
+        if (k >= smoothed) {
+            sum_one -= one[k - smoothed];
+            sum_other -= other[k - smoothed];
+        }
+        total += sum_one * sum_other;
+    }
+    return double(total);
+}
+
+template <typename Real>
+int64_t chance(const Real* source, const Real* target, int64_t count, const Real* source_anchors, int64_t of_source,
+               const Real* target_anchors, int64_t of_target, double per_square, int64_t bins, int64_t smoothed,
+               double* result, int64_t threads) {
+    const Sides<Real> points{source, target, count};
+    parallel(threads, count, 64, [&](int64_t begin, int64_t end, int64_t) {
+        std::vector<int32_t> counts(2 * bins);
+        std::vector<Real> bin(std::max(of_source, of_target));
+        for (int64_t i = begin; i < end; ++i) {
+            const auto one = points.at(i);
+            histogram(one.p, source_anchors, of_source, Real(per_square), bins, bin.data(), counts.data());
+            histogram(one.q, target_anchors, of_target, Real(per_square), bins, bin.data(), counts.data() + bins);
+            result[i] = alike(counts.data(), counts.data() + bins, bins, smoothed);
         }
     });
     return 0;
@@ -195,14 +296,52 @@ inline bool spans_plane(double xx, double yy, double zz, double xy, double xz, d
 
 }  // namespace
 
-// Graphs (count, count) of zeros and ones of correspondences (3, count) twice in meters: graph.first_order.
-KERNEL first_order_f32(const float* source, const float* target, int64_t count, double threshold, float* graph,
+// Graphs (count, count) of zeros and ones of correspondences (3, count) twice in meters, per_square being one
+// over the squared threshold: graph.first_order.
+KERNEL first_order_f32(const float* source, const float* target, int64_t count, double per_square, float* graph,
                        int64_t threads) {
-    return first_order(source, target, count, threshold, graph, threads);
+    return first_order(source, target, count, per_square, graph, threads);
 }
-KERNEL first_order_f64(const double* source, const double* target, int64_t count, double threshold, float* graph,
+KERNEL first_order_f64(const double* source, const double* target, int64_t count, double per_square, float* graph,
                        int64_t threads) {
-    return first_order(source, target, count, threshold, graph, threads);
+    return first_order(source, target, count, per_square, graph, threads);
+}
+
+// How many of correspondences (3, count) twice agree with each, itself counted: degree (count): nodes.degrees.
+KERNEL degrees_f32(const float* source, const float* target, int64_t count, double per_square, float* degree,
+                   int64_t threads) {
+    return degrees(source, target, count, per_square, degree, threads);
+}
+KERNEL degrees_f64(const double* source, const double* target, int64_t count, double per_square, double* degree,
+                   int64_t threads) {
+    return degrees(source, target, count, per_square, degree, threads);
+}
+
+// How many of others (3, others) twice agree with each of (3, count) twice: degree (count): nodes.degrees_among.
+KERNEL degrees_among_f32(const float* source, const float* target, int64_t count, const float* other_source,
+                         const float* other_target, int64_t others, double per_square, float* degree,
+                         int64_t threads) {
+    return degrees_among(source, target, count, other_source, other_target, others, per_square, degree, threads);
+}
+KERNEL degrees_among_f64(const double* source, const double* target, int64_t count, const double* other_source,
+                         const double* other_target, int64_t others, double per_square, double* degree,
+                         int64_t threads) {
+    return degrees_among(source, target, count, other_source, other_target, others, per_square, degree, threads);
+}
+
+// How alike the distances of both points of each correspondence (3, count) to anchors (3, of_source) and (3, of_target)
+// are, per_square being one over a bin's squared width: result (count): nodes._chance.
+KERNEL chance_f32(const float* source, const float* target, int64_t count, const float* source_anchors,
+                  int64_t of_source, const float* target_anchors, int64_t of_target, double per_square, int64_t bins,
+                  int64_t smoothed, double* result, int64_t threads) {
+    return chance(source, target, count, source_anchors, of_source, target_anchors, of_target, per_square, bins,
+                  smoothed, result, threads);
+}
+KERNEL chance_f64(const double* source, const double* target, int64_t count, const double* source_anchors,
+                  int64_t of_source, const double* target_anchors, int64_t of_target, double per_square, int64_t bins,
+                  int64_t smoothed, double* result, int64_t threads) {
+    return chance(source, target, count, source_anchors, of_source, target_anchors, of_target, per_square, bins,
+                  smoothed, result, threads);
 }
 
 // The sets of all nodes of a symmetric graph (count, count) of zeros and ones, the diagonal zero: sets.consensus_sets.

@@ -11,9 +11,8 @@ constexpr int SQUARINGS = 4;  // a round
 // rotation (3, 3) by rows, from covariance[3 * i + j] = sum of p_i q_j.
 inline void best_rotation(const double* covariance, double* rotation) {
     const double* S = covariance;
-    double size = S[0] * S[0];
-    for (int k = 1; k < 9; ++k) size += S[k] * S[k];
-    const double shift = std::sqrt(3.0 * size);
+    double shift = std::abs(S[0]);
+    for (int k = 1; k < 9; ++k) shift += std::abs(S[k]);
     double a[4][4];
     a[0][0] = S[0] + S[4] + S[8];
     a[1][1] = S[0] - S[4] - S[8];
@@ -48,17 +47,17 @@ inline void best_rotation(const double* covariance, double* rotation) {
     for (int i = 1; i < 4; ++i)
         if (a[i][i] > a[most][most]) most = i;
     const double* q = a[most];
-    const double length = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    const double w = q[0] / length, x = q[1] / length, y = q[2] / length, z = q[3] / length;
-    rotation[0] = 1.0 - 2.0 * (y * y + z * z);
-    rotation[1] = 2.0 * (x * y - w * z);
-    rotation[2] = 2.0 * (x * z + w * y);
-    rotation[3] = 2.0 * (x * y + w * z);
-    rotation[4] = 1.0 - 2.0 * (x * x + z * z);
-    rotation[5] = 2.0 * (y * z - w * x);
-    rotation[6] = 2.0 * (x * z - w * y);
-    rotation[7] = 2.0 * (y * z + w * x);
-    rotation[8] = 1.0 - 2.0 * (x * x + y * y);
+    const double w = q[0], x = q[1], y = q[2], z = q[3];
+    const double twice = 2.0 / (w * w + x * x + y * y + z * z);
+    rotation[0] = 1.0 - twice * (y * y + z * z);
+    rotation[1] = twice * (x * y - w * z);
+    rotation[2] = twice * (x * z + w * y);
+    rotation[3] = twice * (x * y + w * z);
+    rotation[4] = 1.0 - twice * (x * x + z * z);
+    rotation[5] = twice * (y * z - w * x);
+    rotation[6] = twice * (x * z - w * y);
+    rotation[7] = twice * (y * z + w * x);
+    rotation[8] = 1.0 - twice * (x * x + y * y);
 }
 
 // target_mean - rotation source_mean.
