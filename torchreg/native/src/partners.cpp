@@ -34,6 +34,11 @@ struct Grid {
     }
 };
 
+struct Column {
+    float away;  // squared meters at least to what it holds
+    int32_t begin, end;
+};
+
 struct Best {
     float square;
     int32_t row;
@@ -88,34 +93,47 @@ KERNEL nearest_in_cells(const float* moved, const int64_t* pair, const uint8_t* 
                         const int32_t* entries, const int32_t* starts, const uint8_t* reached, int64_t* row,
                         float* square, int64_t rows, int64_t length, int64_t threads) {
     const Entry* all = reinterpret_cast<const Entry*>(entries);
-    parallel(threads, rows, std::max<int64_t>(1, 2048 / std::max<int64_t>(1, length)), [&](int64_t begin, int64_t end, int64_t) {
+    const int64_t grain = std::max<int64_t>(1, 2048 / std::max<int64_t>(1, length));
+    parallel(threads, rows, grain, [&](int64_t begin, int64_t end, int64_t) {
+        std::vector<int32_t> cells(length);
         for (int64_t r = begin; r < end; ++r) {
             const Grid grid(low, width, last, first, pair[r]);
             const float w = grid.width[0], inverse = 1 / w;
             const float *px = moved + r * length, *py = px + rows * length, *pz = py + rows * length;
+            const int32_t stride_x = int32_t(grid.stride_x), stride_y = int32_t(grid.stride_y);
             for (int64_t i = 0; i < length; ++i) {
-                int64_t& to = row[r * length + i];
-                to = 0;
-                square[r * length + i] = std::numeric_limits<float>::infinity();
-                if (!valid[r * length + i]) continue;
+                const float cx = grid.place(px[i], 0, inverse), cy = grid.place(py[i], 1, inverse);
+                cells[i] = int32_t(cx) * stride_x + int32_t(cy) * stride_y + int32_t(grid.place(pz[i], 2, inverse));
+            }
+            const uint8_t *here = reached + grid.first, *asked = valid + r * length;
+            const int32_t* from = starts + grid.first;
+            int64_t* to = row + r * length;
+            float* squares = square + r * length;
+            for (int64_t i = 0; i < length; ++i) {
+                to[i] = 0;
+                squares[i] = std::numeric_limits<float>::infinity();
+                if (!(here[cells[i]] & asked[i])) continue;
                 const float x = px[i], y = py[i], z = pz[i];
-                const float cx = grid.place(x, 0, inverse), cy = grid.place(y, 1, inverse), cz = grid.place(z, 2, inverse);
-                const int64_t cell = grid.cell(cx, cy, cz);
-                if (!reached[cell]) continue;
-                Best best{limit[r], -1};
+                const float cx = grid.place(x, 0, inverse), cy = grid.place(y, 1, inverse);
                 const float fx = cx - float(int32_t(cx)), fy = cy - float(int32_t(cy));
                 const float away_x[3] = {std::max(0.0f, fx - SLACK) * w, 0, std::max(0.0f, 1 - fx - SLACK) * w};
                 const float away_y[3] = {std::max(0.0f, fy - SLACK) * w, 0, std::max(0.0f, 1 - fy - SLACK) * w};
                 static constexpr int ORDER[9][2] = {{1, 1}, {0, 1}, {2, 1}, {1, 0}, {1, 2}, {0, 0}, {0, 2}, {2, 0}, {2, 2}};
+                Column columns[9];
+                int used = 0;  // columns that have points and may have one within the limit
                 for (const auto& step : ORDER) {
-                    const float ax = away_x[step[0]], ay = away_y[step[1]];
-                    if ((ax * ax + ay * ay) * 0.999f > best.square) continue;
-                    const int64_t middle = cell + (step[0] - 1) * grid.stride_x + (step[1] - 1) * grid.stride_y;
-                    compare(all + starts[middle - 1], all + starts[middle + 2], x, y, z, best);
+                    const int32_t* middle = from + cells[i] + (step[0] - 1) * stride_x + (step[1] - 1) * stride_y;
+                    const float ax = away_x[step[0]], ay = away_y[step[1]], away = (ax * ax + ay * ay) * 0.999f;
+                    columns[used] = {away, middle[-1], middle[2]};
+                    used += int(middle[-1] < middle[2]) & int(away <= limit[r]);
                 }
+                Best best{limit[r], -1};
+                for (int k = 0; k < used; ++k)
+                    if (columns[k].away <= best.square)
+                        compare(all + columns[k].begin, all + columns[k].end, x, y, z, best);
                 if (best.row < 0) continue;
-                to = best.row;
-                square[r * length + i] = best.square;
+                to[i] = best.row;
+                squares[i] = best.square;
             }
         }
     });
