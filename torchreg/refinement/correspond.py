@@ -187,14 +187,14 @@ def _transform(source: Tensor, R: Tensor, t: Tensor, out: Tensor) -> None:
     """R (k, 3, 3, 1) source (3, k, 256) + t (k, 3, 1), into ``out``."""
     x, y, z = source.unbind(0)
     for i in range(3):
-        torch.addcmul(t[:, i], x, R[:, i, 0], out=out[i])
-        out[i].addcmul_(y, R[:, i, 1]).addcmul_(z, R[:, i, 2])
+        torch.add(t[:, i], x * R[:, i, 0], out=out[i])
+        out[i].add_(y * R[:, i, 1]).add_(z * R[:, i, 2])
 
 
 def _square(left: Tensor, right: Tensor) -> Tensor:
     """Squared distances between (3, ...) and (3, ...)."""
     x, y, z = (left - right).unbind(0)
-    return x.mul_(x).addcmul_(y, y).addcmul_(z, z)
+    return x.mul_(x).add_(y.mul_(y)).add_(z.mul_(z))
 
 
 def few_nearest(points: Tensor) -> Search:
