@@ -8,14 +8,15 @@ from hypothesis import strategies as st
 from problems import random_points
 from refusals import refuses
 
+from torchreg.native import native_library
 from torchreg.neighborhoods import nearest
 from torchreg.neighborhoods.point_index import nearest_of_all, several_nearest
 
-both_backends = pytest.mark.parametrize("backend", ["open3d", "torch"])
+every_backend = pytest.mark.parametrize("backend", ["open3d", "torch", *(["native"] if native_library() else [])])
 both_dtypes = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 
 
-@both_backends
+@every_backend
 @both_dtypes
 @settings(max_examples=25)
 @given(queries=st.integers(0, 50), count=st.integers(1, 60), seed=st.integers(0, 2**31))
@@ -28,7 +29,7 @@ def test_it_finds_what_all_pairs_find(backend, dtype, queries, count, seed):
     assert same_bits(found.sq_distance, squares.amin(dim=1))
 
 
-@both_backends
+@every_backend
 def test_a_set_is_nearest_to_itself(backend):
     points = random_points(500)
     found = nearest(points, points, backend=backend)
@@ -36,7 +37,7 @@ def test_a_set_is_nearest_to_itself(backend):
     assert not found.sq_distance.any()
 
 
-@both_backends
+@every_backend
 def test_without_points_there_is_none(backend):
     index, sq_distance = nearest(random_points(4), torch.zeros(0, 3), backend=backend)
     assert index.tolist() == [-1] * 4
@@ -66,7 +67,7 @@ def test_the_budget_of_memory_does_not_show(max_bytes):
     assert same_bits(found, nearest(query, points, backend="torch"))
 
 
-@both_backends
+@every_backend
 def test_it_carries_no_gradient(backend):
     found = nearest(random_points(5).requires_grad_(), random_points(9, seed=1).requires_grad_(), backend=backend)
     assert not found.sq_distance.requires_grad

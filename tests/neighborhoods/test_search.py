@@ -1,4 +1,4 @@
-"""Both backends find what comparing all pairs finds, and nothing of the batch, order or threads shows."""
+"""Every backend finds what comparing all pairs finds, and nothing of the batch, order or threads shows."""
 
 import pytest
 import torch
@@ -8,14 +8,15 @@ from hypothesis import strategies as st
 from neighborhoods.oracle import all_pairs
 from refusals import refuses
 
+from torchreg.native import native_kernels, native_library
 from torchreg.neighborhoods import neighbors
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import offsets_of
 
-BACKENDS = ("open3d", "torch")
+BACKENDS = ("open3d", "torch", *(["native"] if native_library() else []))
 DTYPES = (torch.float32, torch.float64)
 
-both_backends = pytest.mark.parametrize("backend", BACKENDS)
+every_backend = pytest.mark.parametrize("backend", BACKENDS)
 both_dtypes = pytest.mark.parametrize("dtype", DTYPES, ids=str)
 
 
@@ -38,7 +39,7 @@ def expected(cloud, radius, max_neighbors):
     )
 
 
-@both_backends
+@every_backend
 @both_dtypes
 @settings(max_examples=25)
 @given(
@@ -54,7 +55,7 @@ def test_it_finds_what_all_pairs_find(backend, dtype, lengths, radius, max_neigh
     assert same_bits(found, expected(cloud, radius, max_neighbors))
 
 
-@both_backends
+@every_backend
 @settings(max_examples=25)
 @given(
     lengths=st.lists(st.integers(0, 60), min_size=1, max_size=3),
@@ -78,7 +79,7 @@ def test_ties_are_ordered_by_index(backend, lengths, radius, max_neighbors, seed
         assert len(set(kept)) == len(kept)
 
 
-@both_backends
+@every_backend
 def test_a_neighbor_at_the_radius_is_out(backend):
     cloud = Clouds(points=torch.tensor([[0.0, 0, 0], [3, 4, 0], [0, 0, 5], [1, 0, 0]]))
     near = neighbors(cloud, 5.0, 4, backend=backend)
@@ -87,7 +88,7 @@ def test_a_neighbor_at_the_radius_is_out(backend):
     assert neighbors(cloud, 5.0001, 4, backend=backend).index[0].tolist() == [0, 3, 1, 2]
 
 
-@both_backends
+@every_backend
 def test_duplicates_are_neighbors_at_distance_zero(backend):
     points = torch.tensor([[1.0, 2, 3]] * 5 + [[1.5, 2, 3]])
     near = neighbors(Clouds(points=points), 1.0, 6, backend=backend)
@@ -96,7 +97,7 @@ def test_duplicates_are_neighbors_at_distance_zero(backend):
     assert near.sq_distance[:5].tolist() == [[0, 0, 0, 0, 0, 0.25]] * 5
 
 
-@both_backends
+@every_backend
 def test_empty_slots_hold_the_point_itself(backend):
     cloud = random_cloud(3, 0, 50, 1)
     near = neighbors(cloud, 0.3, 40, backend=backend)
@@ -109,14 +110,14 @@ def test_empty_slots_hold_the_point_itself(backend):
     assert not (near.valid[:, 1:] & empty[:, :-1]).any()
 
 
-@both_backends
+@every_backend
 @pytest.mark.parametrize("lengths", [(0,), (0, 0)])
 def test_no_points_have_no_neighbors(backend, lengths):
     near = neighbors(random_cloud(*lengths), 1.0, 7, backend=backend)
     assert near.index.shape == near.valid.shape == near.sq_distance.shape == (0, 7)
 
 
-@both_backends
+@every_backend
 def test_a_batch_equals_the_loop_over_its_clouds(backend):
     cloud = Clouds.pack([random_cloud(300, 0, 40, 1), lattice_cloud(200, 150)])
     radii = torch.tensor([0.2, 1.0, 0.5, 0.1, 1.5, 2.5])
@@ -130,7 +131,7 @@ def test_a_batch_equals_the_loop_over_its_clouds(backend):
         begin = rows.stop
 
 
-@both_backends
+@every_backend
 @both_dtypes
 def test_the_order_of_points_does_not_matter(backend, dtype):
     cloud = random_cloud(400, dtype=dtype)
@@ -143,7 +144,7 @@ def test_the_order_of_points_does_not_matter(backend, dtype):
     assert same_bits(moved.sq_distance, near.sq_distance[order])
 
 
-@both_backends
+@every_backend
 def test_restrict_finds_what_a_narrower_search_finds(backend):
     cloud = random_cloud(300, 200)
     wide = neighbors(cloud, 0.4, 200, backend=backend)
@@ -154,7 +155,7 @@ def test_restrict_finds_what_a_narrower_search_finds(backend):
     assert torch.equal(narrow.sq_distance[narrow.valid], searched.sq_distance[searched.valid])
 
 
-@both_backends
+@every_backend
 def test_the_number_of_threads_does_not_show(backend):
     cloud = Clouds.pack([random_cloud(3000, 500), lattice_cloud(500)])
     once = neighbors(cloud, 0.5, 40, backend=backend)
@@ -163,7 +164,7 @@ def test_the_number_of_threads_does_not_show(backend):
             assert same_bits(neighbors(cloud, 0.5, 40, backend=backend), once), f"{number} threads"
 
 
-@both_backends
+@every_backend
 def test_it_leaves_the_cloud_alone_and_carries_no_gradient(backend):
     points = random_cloud(100).points.requires_grad_()
     before = points.detach().clone()
@@ -172,19 +173,37 @@ def test_it_leaves_the_cloud_alone_and_carries_no_gradient(backend):
     assert torch.equal(points, before)
 
 
-def test_auto_takes_open3d_on_the_cpu():
-    cloud = lattice_cloud(200)  # where the backends may differ
-    assert same_bits(neighbors(cloud, 2.0, 10), neighbors(cloud, 2.0, 10, backend="open3d"))
+def test_auto_takes_the_compiled_kernels_or_else_open3d():
+    cloud = lattice_cloud(200)  # where Open3D's may differ
+    found = neighbors(cloud, 2.0, 10)
+    assert same_bits(found, neighbors(cloud, 2.0, 10, backend="torch" if native_library() else "open3d"))
+    with native_kernels(False):
+        assert same_bits(neighbors(cloud, 2.0, 10), neighbors(cloud, 2.0, 10, backend="open3d"))
+        with refuses("backend", "'auto'", "compiled kernels"):
+            neighbors(cloud, 2.0, 10, backend="native")
 
 
-@both_backends
+@pytest.mark.skipif(not native_library(), reason="no compiled kernels")
+@both_dtypes
+@pytest.mark.parametrize(("radius", "max_neighbors"), [(0.05, 30), (0.3, 5), (2.0, 1), (2.0, 40), (1e3, 3000)])
+def test_compiled_kernels_find_what_torch_finds_in_large_and_uneven_clouds(dtype, radius, max_neighbors):
+    even = random_cloud(2500, dtype=dtype).points
+    dense = 0.5 + 1e-3 * random_cloud(1500, seed=1, dtype=dtype).points  # a thousandfold as dense
+    line = torch.linspace(0, 1, 700, dtype=dtype)[:, None] * torch.tensor([1.0, 0.0, 0.0], dtype=dtype)
+    points = torch.cat([even, dense, line, lattice_cloud(800, dtype=dtype).points, line[:50]])
+    cloud = Clouds(points=points, offsets=offsets_of([2500, 0, 2200, 850]))
+    found, truth = (neighbors(cloud, radius, max_neighbors, backend=name) for name in ("native", "torch"))
+    assert same_bits(found, truth)
+
+
+@every_backend
 def test_a_radius_whose_square_underflows_holds_the_point_itself(backend):
     near = neighbors(random_cloud(20), 1e-30, 3, backend=backend)
     assert near.counts().tolist() == [1] * 20
 
 
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf, -1e30])
-@both_backends
+@every_backend
 def test_points_without_a_distance_are_refused_with_their_number(backend, bad):
     points = random_cloud(10).points
     points[2, 0] = points[2, 1] = points[7, 2] = bad

@@ -14,30 +14,15 @@ import torch
 from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
-from torchreg.errors import expect, one_of
 from torchreg.geometry.morton import morton_order
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.neighborhoods.distances import sort_rows, squared_distances
 from torchreg.open3d_loader import load_open3d
 
-BACKENDS = ("auto", "open3d", "torch")
-
 SEARCH_SLOTS = 2**21  # slots asked of the tree at once: bounds the memory of its answer
 CHUNK_SLOTS = 2**18  # slots worked on at once: they stay in the cache
 SAMPLE = 128  # queries that estimate how many points lie within the radius
 HYBRID_UP_TO = 1.25  # points within the radius, as a multiple of K, up to which the hybrid search is faster
-
-
-def uses_open3d(backend: str, device: torch.device) -> bool:
-    """Resolve ``backend`` for points on ``device``; ``"auto"`` takes Open3D where it can.
-
-    Raises:
-        ValueError: an unknown name, or Open3D for points that are not on the CPU.
-    """
-    one_of(backend, "backend", BACKENDS)
-    on_cpu = device.type == "cpu"
-    expect(on_cpu or backend != "open3d", "backend", f"'auto' or 'torch' for points on {device}", backend)
-    return on_cpu and backend != "torch"
 
 
 def search_open3d(

@@ -9,8 +9,10 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_device, expect_shape
 from torchreg.geometry.morton import morton_order
+from torchreg.neighborhoods.backends import backend_for
 from torchreg.neighborhoods.distances import expect_searchable, sum_of_squares
-from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
+from torchreg.neighborhoods.kd_tree import MOST, KdTree, fits_tree
+from torchreg.neighborhoods.open3d_search import Tree
 
 
 class Nearest(NamedTuple):
@@ -28,7 +30,8 @@ class Nearest(NamedTuple):
 def nearest(query: Tensor, points: Tensor, *, backend: str = "auto", max_bytes: int = 256 * 2**20) -> Nearest:
     """Find the nearest of ``points`` for every point of ``query``, exactly.
 
-    Where several are equally near, ``"torch"`` takes the smallest index, ``"open3d"`` the first its tree met.
+    Where several are equally near, ``"native"`` and ``"torch"`` take the smallest index, ``"open3d"`` the first its
+    tree met.
 
     Args:
         query: (Q, 3) float32 or float64, meters.
@@ -55,13 +58,15 @@ def nearest(query: Tensor, points: Tensor, *, backend: str = "auto", max_bytes: 
     query, points = query.detach(), points.detach()
     expect_searchable(query, "query")
     expect_searchable(points, "points")
-    compiled = uses_open3d(backend, query.device)
+    used = backend_for(backend, points)
     if len(query) == 0 or len(points) == 0:
         return Nearest(
             torch.full((len(query),), -1, dtype=torch.int64, device=query.device),
             torch.full((len(query),), torch.inf, dtype=query.dtype, device=query.device),
         )
-    index = _from_tree(query, points) if compiled else nearest_of_all(query, points, 1, max_bytes)[:, 0]
+    if used == "native":
+        return Nearest(*(column[:, 0] for column in KdTree(points).nearest(query)))
+    index = _from_tree(query, points) if used == "open3d" else nearest_of_all(query, points, 1, max_bytes)[:, 0]
     return Nearest(index, sum_of_squares(*(query - points[index]).unbind(1)))
 
 
@@ -73,25 +78,33 @@ class PointIndex:
 
     def __init__(self, points: Tensor) -> None:
         self._points = points.detach()
-        self._tree: Tree | None = None
-        if len(points) > 0 and uses_open3d("auto", points.device):
+        self._tree: KdTree | None = None
+        self._foreign: Tree | None = None
+        used = backend_for("auto", self._points) if len(points) > 0 else "torch"
+        if used == "native":
+            self._tree = KdTree(self._points)
+        if used == "open3d":
             self._order = morton_order(self._points, torch.tensor([0, len(points)]))
-            self._tree = Tree(self._points[self._order].contiguous())
+            self._foreign = Tree(self._points[self._order].contiguous())
 
     def nearest(self, query: Tensor) -> Nearest:
         """The nearest point of every query (Q, 3); fastest where queries that follow each other lie close."""
-        if self._tree is None or len(query) == 0:
+        if self._tree is not None:
+            return Nearest(*(column[:, 0] for column in self._tree.nearest(query)))
+        if self._foreign is None or len(query) == 0:
             return nearest(query, self._points)
-        index = self._order.index_select(0, self._tree.nearest(query.contiguous(), 1)[:, 0].long())
+        index = self._order.index_select(0, self._foreign.nearest(query.contiguous(), 1)[:, 0].long())
         return Nearest(index, sum_of_squares(*(query - self._points[index]).unbind(1)))
 
 
 def several_nearest(query: Tensor, points: Tensor, count: int, *, max_bytes: int = 256 * 2**20) -> Tensor:
     """The rows (Q, min(count, N)) int64 of the nearest of points (N, 3), N > 0, ascending by distance.
 
-    Through Open3D's tree on the CPU, where both sides are best in Morton order; by comparing all pairs elsewhere.
+    Through a tree on the CPU, where both sides are best in Morton order; by comparing all pairs elsewhere.
     """
-    if uses_open3d("auto", query.device):
+    if fits_tree(points) and count <= MOST:
+        return KdTree(points).nearest(query, min(count, len(points)))[0]
+    if query.device.type == "cpu":
         return Tree(points.contiguous()).nearest(query.contiguous(), count).long()
     return nearest_of_all(query, points, count, max_bytes)
 

@@ -6,27 +6,32 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, positive
+from torchreg.neighborhoods.backends import backend_for
 from torchreg.neighborhoods.cells import search_cells
 from torchreg.neighborhoods.distances import expect_searchable
-from torchreg.neighborhoods.open3d_search import search_open3d, uses_open3d
+from torchreg.neighborhoods.kd_tree import search_tree
+from torchreg.neighborhoods.open3d_search import search_open3d
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
+
+_SEARCHES = {"native": search_tree, "open3d": search_open3d, "torch": search_cells}
 
 
 def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, backend: str = "auto") -> Neighborhoods:
     """Find the ``max_neighbors`` nearest points of the same cloud within ``radius`` (a hybrid search).
 
-    The backends agree to the last bit, with one exception: where several points tie for the last place of
-    a row, ``"torch"`` keeps those of smaller index and ``"open3d"`` those that its tree visits first. All duplicates of
-    a point are its neighbors at distance zero, so a point with K or more of them may be missing from its row.
+    The backends agree to the last bit, with one exception: where several points tie for the last place of a row,
+    ``"native"`` and ``"torch"`` keep those of smaller index and ``"open3d"`` those that its tree visits first. All
+    duplicates of a point are its neighbors at distance zero, so a point with K or more of them may be missing from its
+    row.
 
     Args:
         cloud: B clouds; points of different clouds are no neighbors.
         radius: meters, one number or one per cloud (B,); a neighbor has d^2 < radius^2, strictly, both
             rounded to the dtype of the points.
         max_neighbors: K, the slots of a row; the point itself takes one.
-        backend: ``"open3d"`` (compiled, CPU), ``"torch"`` (any device), or ``"auto"``: the former on the
-            CPU, the latter elsewhere.
+        backend: ``"native"`` (a k-d tree in compiled kernels, CPU), ``"open3d"`` (its tree, CPU), ``"torch"`` (any
+            device), or ``"auto"``: the first of these that can.
 
     Returns:
         Neighborhoods of (P, K) on the device and in the dtype of the points. No gradient flows.
@@ -44,7 +49,7 @@ def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, back
     expect(points.dtype in (torch.float32, torch.float64), "cloud.points", "float32 or float64", points)
     limits = _squared_radii(radius, len(cloud), points.dtype)
     expect_searchable(points, "cloud.points")
-    search = search_open3d if uses_open3d(backend, points.device) else search_cells
+    search = _SEARCHES[backend_for(backend, points)]
     slots = search(points, spans(cloud.offsets), limits, max_neighbors)
     return Neighborhoods(*slots, radius=_per_point(radius, cloud))
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather_columns
-from torchreg.neighborhoods.open3d_search import Tree, uses_open3d
+from torchreg.neighborhoods.open3d_search import Tree
 from torchreg.neighborhoods.point_index import nearest_of_all
 from torchreg.refinement.blocks import BLOCK, Blocks
 
@@ -199,7 +199,7 @@ def _square(left: Tensor, right: Tensor) -> Tensor:
 
 def few_nearest(points: Tensor) -> Search:
     """The search in ``points`` (N, 3) float64, N > 0: by Open3D's tree on the CPU, by comparing all pairs elsewhere."""
-    if uses_open3d("auto", points.device):
+    if points.device.type == "cpu":
         tree = Tree(points)
         return lambda queries: tree.nearest(queries, FEW)
     return all_pairs(points)
