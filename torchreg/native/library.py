@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torchreg.native.fingerprint import fingerprint
+from torchreg.native.threads import kernel_threads
 
 VARIABLE = "TORCHREG_NATIVE"
 """Environment variable; ``0`` turns compiled kernels off for a whole process, and for those that it starts."""
@@ -66,7 +67,7 @@ def call(name: str, *arguments: Tensor | int | float | None) -> int:
     library = _library()
     if library is None:
         raise RuntimeError("no library of compiled kernels; ask native() first")
-    result: int = _function(library, name)(*map(_argument, arguments), ctypes.c_int64(torch.get_num_threads()))
+    result: int = _function(library, name)(*map(_argument, arguments), ctypes.c_int64(kernel_threads()))
     return result
 
 

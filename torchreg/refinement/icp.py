@@ -15,6 +15,7 @@ from torch import Tensor
 from torchreg.errors import expect, expect_device, expect_floating
 from torchreg.geometry.numerics.threads import shared_out
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.native import kernel_threads
 from torchreg.refinement.levels import refine_levels
 from torchreg.refinement.loop import State
 from torchreg.refinement.options import KINDS, IcpOptions
@@ -103,7 +104,7 @@ def refine_pairs(
     lengths = source.lengths
     sizes = [lengths[one] for one in pairing.source]
     several = source.device.type == "cpu" and sum(sizes) >= _SHARED_POINTS
-    workers = torch.get_num_threads() if several else 1
+    workers = kernel_threads() if several else 1
     groups = _groups(options, state.failed, pairing, sizes, workers)
 
     def run(members: list[int]) -> tuple[Tensor, State]:

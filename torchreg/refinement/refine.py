@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import shared_out
+from torchreg.native import kernel_threads
 from torchreg.refinement.certainty import Certainty, agreeing, certainty, residuals
 from torchreg.refinement.pairing import Pairing, enter, leave
 from torchreg.refinement.settle import Settling, SurfelPairs
@@ -74,7 +75,7 @@ def refine_on_surfels(
     lengths = [len(one.cloud.points) for one in sources]
     ready = [b for b in range(pairs) if not skipped[b] and min(lengths[b], len(targets[b].cloud.points)) > 0]
     groups = [ready[part] for part in partition([lengths[b] for b in ready], _GROUP)] if ready else []
-    workers = torch.get_num_threads() if source.cloud.device.type == "cpu" else 1
+    workers = kernel_threads() if source.cloud.device.type == "cpu" else 1
     if len(ready) > 1 and workers > 1:
         groups = [ready[first::workers] for first in range(min(workers, len(ready)))]
 

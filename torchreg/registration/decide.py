@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchreg.descriptors.fuse import unit_rows
 from torchreg.geometry.numerics.threads import shared_out
+from torchreg.native import kernel_threads
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.looks import second_look
 from torchreg.registration.options import RegistrationOptions
@@ -83,7 +83,7 @@ def look_again(
         judged_again = judge_poses(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)
         return SecondLook(judged_again[0], proposals_of(seen, 0))
 
-    workers = torch.get_num_threads() if source.cloud.device.type == "cpu" else 1
+    workers = kernel_threads() if source.cloud.device.type == "cpu" else 1
     return dict(zip(again, shared_out(look, again, workers), strict=True))
 
 

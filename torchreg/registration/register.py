@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.matching.mutual import match_mutual
 from torchreg.registration.decide import compared, look_again
 from torchreg.registration.describe import describe_thin, description_of, expect_alike
@@ -87,7 +88,7 @@ def register(
         >>> result.T_target_source.shape
         torch.Size([1, 4, 4])
     """
-    with stopwatch() as seconds:
+    with stopwatch() as seconds, undisturbed(source.points):
         plan = Plan(source, target, options, effort=effort, solver=solver, refine=refine, max_bytes=max_bytes)
         results = []
         for pairs in plan.slices:
@@ -124,7 +125,7 @@ def register_described(
         for option, described in zip(options, side.descriptions, strict=True):
             needed = description_of(option, colored=colored)
             expect(described == needed, name, f"descriptions by {needed}", described)
-    with stopwatch() as seconds:
+    with stopwatch() as seconds, undisturbed(source.cloud.points):
         result = find_poses(source, target, options, colored=colored, seed=seed).result
     return joined([result], seconds=seconds)
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.threads import shared_out
+from torchreg.native import kernel_threads
 from torchreg.refinement.icp import refine_pairs
 from torchreg.refinement.options import IcpOptions
 from torchreg.refinement.pairing import Pairing
@@ -94,7 +95,7 @@ def judge_poses(
         choice = choose(prepared_pairs(pairs, work.sample), initial_poses(pairs), work, given)
         return verdicts(pairs, choice, names, work.accepted)
 
-    workers = torch.get_num_threads() if source.device.type == "cpu" else 1
+    workers = kernel_threads() if source.device.type == "cpu" else 1
     groups = groups_of(work_of_pairs(source, target, proposed, work), workers)
     judged: dict[int, Verdict] = {}
     for members, group in zip(groups.small, shared_out(judge, groups.small, workers), strict=True):
