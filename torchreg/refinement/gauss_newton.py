@@ -8,12 +8,11 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.native import call, native
 from torchreg.refinement.estimator import Update
 
 CHANNELS = 28  # the upper triangle of the 7 x 7 products of (J, r)
-_RANK = (
-    1e-10  # of a pivot, unknowns scaled alike, to its value without the unknowns before: below it the motion is open
-)
+_RANK = 1e-10  # of a pivot to its value without the unknowns before: below it the motion is open
 
 
 def products(rows: Tensor, weight: Tensor, onto: Tensor | None = None) -> Tensor:
@@ -40,13 +39,25 @@ def solve(sums: Tensor, center: Tensor) -> Update:
     makes it, R = Rz Ry Rx of the three angles about the zero of the target's points, from which the center counts, so
     that iterates agree.
     """
+    sums, center = sums.contiguous(), center.contiguous()
+    return _solve_compiled(sums, center) if native(sums, center) else _solve(sums, center)
+
+
+def _solve_compiled(sums: Tensor, center: Tensor) -> Update:
+    rotation, usable = sums.new_empty(len(sums), 3, 3), torch.empty(len(sums), dtype=torch.bool)
+    translation = torch.empty_like(center)
+    call("gauss_newton", sums, center, len(sums), rotation, translation, usable)
+    return Update(rotation, translation, usable)
+
+
+def _solve(sums: Tensor, center: Tensor) -> Update:
     finite = torch.isfinite(sums).all(dim=1)
     rows = sums.new_zeros(len(sums), 7, 7)
     i, j = torch.triu_indices(7, 7, device=sums.device)
     rows[:, i, j] = rows[:, j, i] = torch.where(finite[:, None], sums, torch.zeros_like(sums))
     diagonal = torch.diagonal(rows, dim1=1, dim2=2)[:, :6]
     positive = diagonal > 0
-    scale = torch.where(positive, 1 / torch.where(positive, diagonal, 1.0).sqrt(), torch.zeros_like(diagonal))
+    scale = torch.where(positive, torch.where(positive, diagonal, 1.0).rsqrt(), torch.zeros_like(diagonal))
     across = torch.cat([scale, torch.ones_like(scale[:, :1])], dim=1)
     solution, determined = _eliminated(scale[:, :, None] * rows[:, :6] * across[:, None, :])
     x = -scale * solution  # (B, 6)
