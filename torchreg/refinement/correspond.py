@@ -54,21 +54,28 @@ class Correspondence:
         max_distance: (B,) meters, of the active pairs.
         moved: (3, n, 256), source points in the targets' frames.
         partner: (A, n, 256), the target's values at their nearest points.
-        square: (n, 256) squared meters between them. Beyond the largest distance, partners are any that are
-            beyond it.
+        square: (n, 256) squared meters between them; any finite numbers where rows are not inside, and partners too.
         inside: (n, 256) bool, nearer than the largest distance.
     """
+
+    _by_axis: tuple[str, ...] = ("source", "moved", "partner", "_decided_at", "_searched_at")
+    _by_row: tuple[str, ...] = ("square", "inside", "_nearest", "_second", "_few", "_others")
 
     def __init__(self, blocks: Blocks, source: Tensor, target: Target, max_distance: Tensor) -> None:
         """No correspondences yet; source (3, n, 256) about its centers, ``max_distance`` (B,) meters."""
         self.blocks, self.target = blocks, target
         self.pairs = list(range(len(blocks.counts)))
-        shape, never = source.shape[1:], -torch.inf
+        shape = source.shape[1:]
         self.source, self.max_distance = source, max_distance
         self.moved = torch.zeros_like(source)
         self.partner = source.new_zeros(len(target.values), *shape)
         self.square = source.new_zeros(shape)
         self.inside = torch.zeros(shape, dtype=torch.bool, device=source.device)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing has been searched."""
+        source, shape, never = self.source, self.square.shape, -torch.inf
         # when the partner was last decided: where, and bounds from below on the two least distances
         self._decided_at = torch.zeros_like(source)
         self._nearest, self._second = source.new_full(shape, never), source.new_full(shape, never)
@@ -83,9 +90,9 @@ class Correspondence:
         self.blocks, chosen = self.blocks.keep(which)
         self.pairs = [self.pairs[b] for b in which]
         self.max_distance = self.max_distance[which]
-        for name in ("source", "moved", "partner", "_decided_at", "_searched_at"):
+        for name in self._by_axis:
             setattr(self, name, getattr(self, name).index_select(1, chosen))
-        for name in ("square", "inside", "_nearest", "_second", "_few", "_others"):
+        for name in self._by_row:
             setattr(self, name, getattr(self, name).index_select(0, chosen))
         return chosen
 

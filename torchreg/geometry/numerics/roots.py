@@ -1,4 +1,4 @@
-"""Square roots that compiled code can repeat: ``torch.sqrt`` goes through MKL, which is a bit off one time in hundred."""
+"""Square roots that compiled code can repeat: those of ``torch.sqrt`` (MKL) are off by a bit now and then."""
 
 from __future__ import annotations
 

@@ -33,7 +33,9 @@ struct Known {
     double others[BLOCK];
     int32_t row[2][BLOCK];  // -1 for none
 
-    Known() {
+    Known() { forget(); }
+
+    void forget() {
         std::fill_n(others, BLOCK, -std::numeric_limits<double>::infinity());
         std::fill_n(row[0], 2 * BLOCK, -1);
     }
@@ -212,6 +214,40 @@ KERNEL icp_point_to_plane(const double* source, int64_t n, const int64_t* first_
                   std::vector<double>(blocks * Pair::CHANNELS)};
         iterate(pair, most[b], least_fitness[b], least_rmse[b], together ? 1 : threads,
                 {rotation + 9 * b, translation + 3 * b, fitness + b, rmse + b, updates + b, outcome + b});
+    });
+    return 0;
+}
+
+// The numbers of float64 that the state of a block's searches takes.
+KERNEL icp_known(int64_t) { return sizeof(torchreg::Known) / sizeof(double); }
+
+// Equals `Correspondence.move`: the correspondences of n blocks under the poses of B pairs. source (3, n, 256), pair (n)
+// and rows (n) of every block; trees, values (A, N), first and limits as in `icp_point_to_plane`; rotation (B, 3, 3),
+// translation (B, 3); known (n, icp_known) is the state of the searches, which is `fresh` at first. Writes moved
+// (3, n, 256), inside and square (n, 256), and partner (A, n, 256) where a row has one.
+KERNEL icp_move(const double* source, int64_t n, const int64_t* pair, const int64_t* rows, const int64_t* trees,
+                const double* values, int64_t columns, int64_t total, const int64_t* first, const double* limits,
+                const double* rotation, const double* translation, double* known, int64_t fresh, double* moved,
+                double* partner, double* square, bool* inside, int64_t threads) {
+    using namespace torchreg;
+    parallel(threads, n, 2, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t block = begin; block < end; ++block) {
+            const int64_t b = pair[block], at = block * BLOCK;
+            const TargetPoints target(trees + 4 * b, values, first[b], total);
+            Known& state = reinterpret_cast<Known*>(known)[block];
+            if (fresh) state.forget();
+            double p[3][BLOCK];
+            int32_t nearest[BLOCK];
+            transform_block(source + at, n * BLOCK, rotation + 9 * b, translation + 3 * b, p);
+            for (int i = 0; i < 3; ++i) std::copy_n(p[i], BLOCK, moved + i * n * BLOCK + at);
+            match_block(target, p, rows[block], limits[b], state, nearest, square + at);
+            for (int64_t r = 0; r < BLOCK; ++r) inside[at + r] = nearest[r] >= 0;
+            for (int64_t c = 0; c < columns; ++c) {
+                const double* column = target.values + c * total;
+                double* out = partner + c * n * BLOCK + at;
+                for (int64_t r = 0; r < BLOCK; ++r) out[r] = nearest[r] >= 0 ? column[nearest[r]] : out[r];
+            }
+        }
     });
     return 0;
 }
