@@ -1,6 +1,40 @@
 // What pairs of surfels need at each update: residuals, medians, normal equations.
 #include "gauss_newton.hpp"
 
+namespace torchreg {
+
+// The value at place k of `values` (count) in ascending order; no NaN. Overwrites them. Only values between two of a
+// sample need to be put in order, as the one at place k is nearly always among them.
+inline double selected(std::vector<double>& values, int64_t count, int64_t k) {
+    constexpr int64_t SAMPLE = 256, AROUND = 28;
+    const auto all = values.begin();
+    if (count > 4 * SAMPLE) {
+        double sample[SAMPLE];
+        for (int64_t i = 0; i < SAMPLE; ++i) sample[i] = values[i * count / SAMPLE];
+        std::sort(sample, sample + SAMPLE);
+        const int64_t place = k * SAMPLE / count;
+        const double low = sample[std::max<int64_t>(0, place - AROUND)];
+        const double high = sample[std::min(SAMPLE - 1, place + AROUND)];
+        std::vector<double> between(count);
+        int64_t below = 0, inside = 0;
+        for (int64_t i = 0; i < count; ++i) {
+            const double value = values[i];
+            between[inside] = value;
+            below += value < low;
+            inside += (value >= low) & (value <= high);
+        }
+        if (below <= k && k < below + inside) {
+            const auto middle = between.begin() + (k - below);
+            std::nth_element(between.begin(), middle, between.begin() + inside);
+            return *middle;
+        }
+    }
+    std::nth_element(all, all + k, all + count);
+    return values[k];
+}
+
+}  // namespace torchreg
+
 // Equals `SurfelPairs.residuals` without shades: moved (3, n, 256), partner (A, n, 256) with normal and variance from
 // column 3 on, extra (E, n, 256) normal and variance of the source, rotation (B, 3, 3), pair (n), inside (n, 256); least
 // cosine between normals. Writes distance, variance (n, 256), turned (3, n, 256), alike (n, 256).
@@ -45,9 +79,10 @@ KERNEL block_medians(const double* values, const bool* kept, const int64_t* firs
             numbers = numbers && !(kept[r] && std::isnan(values[r]));
             count += kept[r];
         }
-        const auto middle = own.begin() + std::max<int64_t>(0, count - 1) / 2;
-        std::nth_element(own.begin(), middle, own.begin() + count);
-        out[b] = count == 0 ? 0.0 : numbers ? *middle : std::numeric_limits<double>::quiet_NaN();
+        if (count == 0)
+            out[b] = 0.0;
+        else
+            out[b] = numbers ? torchreg::selected(own, count, (count - 1) / 2) : std::numeric_limits<double>::quiet_NaN();
     });
     return 0;
 }
