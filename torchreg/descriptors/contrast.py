@@ -86,6 +86,11 @@ class Contrast(Descriptor):
     needs_colors: ClassVar[bool] = True
     is_batched: ClassVar[bool] = True
 
+    @property
+    def reach(self) -> float:
+        """Meters: a point reads its neighbors alone."""
+        return self.radius
+
     def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
         """As ``torchreg.contrast``."""
         return contrast(cloud, near, self.radius if near.radius is None else near.radius)

@@ -66,6 +66,14 @@ class Descriptor(ABC):
         """Whether a description depends on the other cloud of the pair: ``describe`` then gets both clouds."""
         return False
 
+    @property
+    def reach(self) -> float | None:
+        """Meters: no point farther from another than this changes its row; ``None`` where any point may.
+
+        Large clouds whose descriptors all state it are described in tiles, within the memory that is granted.
+        """
+        return None
+
     def scaled(self: AnyDescriptor, factor: float) -> AnyDescriptor:
         """The same descriptor for points ``factor`` times as far apart: every length multiplied."""
         return scaled(self, factor)

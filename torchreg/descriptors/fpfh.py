@@ -128,6 +128,11 @@ class Fpfh(Descriptor):
         super().__post_init__()
         one_of(self.mode, "mode", ("open3d", "pcl"))
 
+    @property
+    def reach(self) -> float:
+        """Meters: a point reads the histograms of its neighbors, which read theirs."""
+        return 2 * self.radius
+
     def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
         """As ``torchreg.fpfh``."""
         return fpfh(cloud, near, mode=self.mode)

@@ -150,6 +150,11 @@ class Pcfh(Descriptor):
         """Whether hue is equalized jointly."""
         return self.equalization == "joint"
 
+    @property
+    def reach(self) -> float | None:
+        """Meters, as FPFH's; hue that is equalized depends on all points."""
+        return 2 * self.radius if self.equalization == "none" else None
+
     def describe(self, cloud: Clouds, near: Neighborhoods) -> Features:
         """As ``torchreg.pcfh``; jointly equalized, ``cloud`` holds the two clouds of one pair."""
         return pcfh(

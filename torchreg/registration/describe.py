@@ -18,6 +18,7 @@ from torch import Tensor
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.errors import expect
 from torchreg.geometry.numerics.partition import partition
+from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import in_morton_order, voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
@@ -27,12 +28,14 @@ from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.inspect import facts_of, set_aside, too_wide
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
+from torchreg.registration.tiles import reach_of, tiles_of
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.lengths import besides_lengths
-from torchreg.types.packing import spans
+from torchreg.types.packing import offsets_of, spans
 
 _SLOT_BYTES = 32  # of a neighborhood's slot: index, distance and masks, of the search and of what restricts it
 _SPACING_NEIGHBOR = 4
+_LEAST_TILE = 20_000  # points of a tile, however little memory is granted: smaller ones are mostly margin
 
 
 def description_of(options: RegistrationOptions, *, colored: bool) -> Description:
@@ -87,9 +90,10 @@ def describe_by(clouds: Clouds, descriptions: Sequence[Description], *, max_byte
         for one, description in zip(facts, descriptions, strict=True)
     ]
     usable = set_aside(hinted(clouds.detach()), defects)
-    thin = downsample(usable, [description.voxel_size for description in descriptions])
-    described = describe_thin(thin, descriptions, max_bytes)
-    return replace(described, facts=facts, surfels=surfels(usable, described.cloud, descriptions))
+    with undisturbed(clouds.points):
+        thin = downsample(usable, [description.voxel_size for description in descriptions])
+        described = describe_thin(thin, descriptions, max_bytes)
+        return replace(described, facts=facts, surfels=surfels(usable, described.cloud, descriptions))
 
 
 def hinted(clouds: Clouds) -> Clouds:
@@ -112,11 +116,46 @@ def describe_thin(thin: Clouds, descriptions: Sequence[Description], max_bytes: 
         groups = [slice(begin, begin + 2) for begin in range(0, len(thin), 2)]
     parts = []
     for group in groups:
-        cloud, near = oriented(thin.select(range(len(thin))[group]), descriptions[group])
-        features = describe(cloud, near, [description.descriptors for description in descriptions[group]])
-        made = tuple(descriptions[group])
-        parts.append(DescribedClouds(cloud, features, made, _spacings(cloud, near), facts_of(cloud)))
+        clouds, made = thin.select(range(len(thin))[group]), descriptions[group]
+        reach = reach_of(made[0]) if len(made) == 1 and clouds.normals is None else None
+        most = max_bytes // (_SLOT_BYTES * slots)
+        if reach is not None and len(clouds.points) > max(most, _LEAST_TILE):
+            parts.append(_described_in_tiles(clouds, made[0], reach, max(most, _LEAST_TILE)))
+        else:
+            parts.append(_described_at_once(clouds, made))
     return DescribedClouds.pack(parts)
+
+
+def _described_at_once(clouds: Clouds, descriptions: Sequence[Description]) -> DescribedClouds:
+    cloud, near = oriented(clouds, descriptions)
+    features = describe(cloud, near, [description.descriptors for description in descriptions])
+    spacings = tuple(map(_spacing, _fourth_distances(cloud, near).split(cloud.lengths)))
+    return DescribedClouds(cloud, features, tuple(descriptions), spacings, facts_of(cloud))
+
+
+def _described_in_tiles(cloud: Clouds, description: Description, reach: float, most: int) -> DescribedClouds:
+    """One cloud, described in tiles for so many of its points; the same bits."""
+    normals = torch.empty_like(cloud.points)
+    fourth = cloud.points.new_empty(len(cloud.points))
+    features: list[Features] = []
+    for rows, own in tiles_of(cloud, reach, most):
+        part, near = oriented(cloud.rows(rows, offsets_of([len(rows)])), [description])
+        described = describe(part, near, [description.descriptors])
+        if not features:
+            features = [_room_for(each, cloud) for each in described]
+        mine = rows[own]
+        estimated: Tensor = part.normals  # type: ignore[assignment]  # oriented gives them
+        normals[mine], fourth[mine] = estimated[own], _fourth_distances(part, near)[own]
+        for whole, each in zip(features, described, strict=True):
+            whole.values[mine], whole.valid[mine] = each.values[own], each.valid[own]
+    whole_cloud = replace(cloud, normals=normals)
+    return DescribedClouds(whole_cloud, tuple(features), (description,), (_spacing(fourth),), facts_of(whole_cloud))
+
+
+def _room_for(features: Features, cloud: Clouds) -> Features:
+    """Features of as many rows as the cloud has points, to be filled."""
+    values = features.values.new_empty(len(cloud.points), features.values.shape[1])
+    return Features(values, cloud.offsets, features.blocks, features.valid.new_zeros(len(values)))
 
 
 def surfels(given: Clouds, thin: Clouds, descriptions: Sequence[Description]) -> Surfels | None:
@@ -222,12 +261,14 @@ def _support(cloud: Clouds, near: Neighborhoods, radii: Sequence[float], max_nei
     return near.restrict(per_point, max_neighbors)
 
 
-def _spacings(cloud: Clouds, near: Neighborhoods) -> tuple[float, ...]:
-    """Median distance to the fourth nearest other point, meters, of the points of each cloud that have as many."""
-    spacings = []
+def _fourth_distances(cloud: Clouds, near: Neighborhoods) -> Tensor:
+    """(P,) squared meters to the fourth nearest other point; NaN for points that do not have as many."""
     slot = min(_SPACING_NEIGHBOR, near.index.shape[1] - 1)
-    for begin, end in spans(cloud.offsets):
-        square = near.sq_distance[begin:end, slot][near.valid[begin:end, slot]]
-        median = float(square.double().sqrt().median()) if len(square) > 0 else math.nan
-        spacings.append(median if median > 0 else 1e-9)
-    return tuple(spacings)
+    return near.sq_distance[:, slot].where(near.valid[:, slot], torch.nan)
+
+
+def _spacing(fourth: Tensor) -> float:
+    """The median distance, meters, of the squared ones (P,) that are known."""
+    square = fourth[~fourth.isnan()]
+    median = float(square.double().sqrt().median()) if len(square) > 0 else math.nan
+    return median if median > 0 else 1e-9
