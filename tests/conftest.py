@@ -5,7 +5,7 @@ import os
 import pytest
 import torch
 from hypothesis import settings
-from stand_in import NAME, StandIn
+from stand_in import NAME
 
 # Some tests run with more threads than the machine has free cores: waiting threads should sleep, not spin.
 # OpenMP reads this once, when torch loads it.
@@ -26,12 +26,8 @@ def pytest_addoption(parser):
 
 @pytest.fixture
 def device(request):
-    """The device beside the CPU, as PyTorch names it; with the stand-in, tests run within it."""
+    """The device beside the CPU, as PyTorch names it."""
     name = request.config.getoption("--device")
-    if name == NAME:
-        with StandIn():
-            yield name
-        return
     if torch.device(name).type == "cuda" and not torch.cuda.is_available():
         pytest.skip(f"--device {name}: PyTorch finds no GPU")
-    yield name
+    return name
