@@ -82,7 +82,7 @@ def test_tables_tell_ratios_and_growth():
 
 def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
     asked = list(cells((300,)))[:2]
-    monkeypatch.setattr(studies, "cells", lambda points: iter(asked))
+    monkeypatch.setattr(studies, "cells", lambda *_: iter(asked))
     out = tmp_path / "speed"
     words = ["bench", "speed", "--quick", "--out", str(out)]
     first = CliRunner().invoke(app, words)

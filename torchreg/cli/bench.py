@@ -83,6 +83,16 @@ Repeats = Annotated[
     int, typer.Option("--repeats", metavar="COUNT", min=1, help="Number of counted runs of everything.")
 ]
 
+BusyData = Annotated[
+    Path | None,
+    typer.Option(
+        "--data",
+        metavar="PATH",
+        help="Also whole methods on the real pairs of this list, or of the folder's pairs.json: alone, and beside a "
+        "process that keeps one core busy.",
+    ),
+]
+
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRun:
@@ -202,12 +212,14 @@ def speed(
     points: Points = "1000,10000,100000,1000000",
     repeats: Repeats = 5,
     quick: Quick = False,
+    data: BusyData = None,
     threads: opt.Threads = None,
 ) -> None:
     """Time every stage and the whole pair against Open3D's classic and tensor pipelines, in one process, on the CPU.
 
     Seconds over numbers of points, neighbors and hypotheses, how they grow (slopes of logarithms), and peak memory;
-    torchreg eager and compiled. --quick takes few points and two repeats.
+    torchreg eager and compiled. Then batches of small pairs, a pair of 100,000 matches, a million points described,
+    and with --data whole methods, quiet and busy. --quick takes few points and two repeats.
 
     Exit code 0: all was measured. 2: bad usage.
     """
@@ -215,7 +227,7 @@ def speed(
 
     _expect_folder(out)
     opt.use(opt.Device.cpu, threads)
-    _run_and_show(speed_study(_counts(points), repeats=repeats, quick=quick), out)
+    _run_and_show(speed_study(_counts(points), repeats=repeats, quick=quick, data=data), out)
 
 
 def _run_and_show(study: Study, out: Path) -> None:
