@@ -62,7 +62,7 @@ def table(rows: Sequence[Row]) -> str:
         return ""
 
     def typical(row: Row, method: str, state: str) -> float:
-        return median(row["seconds"][state][method])
+        return float(median(row["seconds"][state][method]))
 
     names = list(measured[0]["seconds"]["quiet"])
     lines = []

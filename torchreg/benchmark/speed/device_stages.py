@@ -109,12 +109,12 @@ STAGES: dict[str, DeviceStage] = {
     "PCFH": DeviceStage(build=_pcfh),
     "contrast": DeviceStage(build=_contrast),
     "surfels": DeviceStage(build=_surfels),
-    "mutual matching": DeviceStage(build=_match, power=2.0),
+    "mutual matching": DeviceStage(build=_match, power=1.5),
     "RANSAC, 600,000 hypotheses": DeviceStage(build=_ransac),
     "compatibility": DeviceStage(build=_compatibility),
-    "ICP, point to plane, 10 iterations": DeviceStage(build=_icp, power=2.0),
+    "ICP, point to plane, 10 iterations": DeviceStage(build=_icp, power=1.5),
     **{
-        f"whole pair, {effort}": DeviceStage(build=partial(_whole, effort), power=2.0)
+        f"whole pair, {effort}": DeviceStage(build=partial(_whole, effort), power=1.3)
         for effort in ("plain", "fast", "balanced")
     },
 }
