@@ -20,7 +20,7 @@ def inputs():
     "name", [pytest.param(name, marks=[pytest.mark.slow] if STAGES[name].whole else []) for name in STAGES]
 )
 def test_a_stage_finds_on_a_device_what_it_finds_on_the_cpu(inputs, device, name):
-    stage = STAGES[name]
+    stage = STAGES[name].on(device)
     with StandIn() if device == NAME else nullcontext() as stand_in:
         there = moved(inputs, device)
         if stand_in is not None:
@@ -38,6 +38,11 @@ def test_no_stage_waits_for_the_host_once_per_chunk(inputs, name):
         stand_in.transfers.clear()
         STAGES[name].run(there)
     assert stand_in.transfers.total() <= STAGES[name].transfers, stand_in.transfers
+
+
+def test_a_gpu_may_differ_more_and_the_stand_in_may_not():
+    stage = STAGES["register, plain"]
+    assert stage.on("cuda").atol > stage.on(NAME).atol == stage.atol
 
 
 def test_differences_are_seen(inputs):
