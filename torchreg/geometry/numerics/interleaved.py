@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-_LANES = 16  # of the kernels too (lanes.hpp)
+_LANES = 16  # of the kernels too (interleaved.hpp)
 
 
 def interleaved_sum(values: Tensor) -> Tensor:
