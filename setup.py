@@ -58,6 +58,11 @@ def extension(name: str, instructions: list[str]) -> Extension:
 class BuildLibraries(build_ext):
     """Plain shared libraries, which no version of Python is built into."""
 
+    def finalize_options(self) -> None:
+        """Build the libraries side by side."""
+        super().finalize_options()
+        self.parallel = self.parallel or True
+
     def copy_extensions_to_source(self) -> None:
         """Put the libraries beside their sources, in a folder that is not kept with these."""
         (ROOT / "torchreg" / "native" / "lib").mkdir(exist_ok=True)
