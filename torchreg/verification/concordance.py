@@ -16,7 +16,7 @@ _LEAST = 6  # partners that tell anything
 _ALIKE = 1e-12  # squared: features that differ by less are the same
 
 
-class _Sums(NamedTuple):
+class _FeatureSums(NamedTuple):
     """Over the partners of R poses, of every number of the features."""
 
     partners: Tensor  # (R,) int64
@@ -48,17 +48,17 @@ def concordance(one: Tensor, other: Tensor, pair: Tensor, found: Partners, squar
     return torch.where(enough, 1 - apart / strangers.clamp(min=_ALIKE), 0.0)
 
 
-def _summed(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_limit: Tensor) -> _Sums:
+def _summed(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_limit: Tensor) -> _FeatureSums:
     if native(one, other, found.square):
         width, (rows, length) = one.shape[2], found.square.shape
         count, sums = torch.empty_like(pair), torch.empty(4, rows, width, dtype=torch.float64)
         tensors = (one, other, *found, square_limit, pair, count, sums)
         call("feature_sums", *tensors, one.shape[1], STRIDE, width, rows, length)
-        return _Sums(count, *sums)
+        return _FeatureSums(count, *sums)
     close = thinned(found.square < square_limit[:, None])[..., None]  # (R, L', 1)
     row = thinned(found.row)
     own = torch.where(close, one[pair], 0.0)
     partner = torch.where(close, other.index_select(0, row.view(-1)).view(own.shape), 0.0)
     difference = own - partner
     numbers = (difference * difference, own * own + partner * partner, own, partner)
-    return _Sums(close.sum(dim=(1, 2)), *(lane_sums(values.double(), dim=1) for values in numbers))
+    return _FeatureSums(close.sum(dim=(1, 2)), *(lane_sums(values.double(), dim=1) for values in numbers))

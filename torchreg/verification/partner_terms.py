@@ -26,7 +26,7 @@ class PartnerTerms(NamedTuple):
     colors: Tensor
 
 
-class _Sums(NamedTuple):
+class _PartnerSums(NamedTuple):
     """Over the partners of R poses."""
 
     partners: Tensor  # (R,) int64
@@ -77,7 +77,7 @@ def _correlation(products: Tensor, left: Tensor, right: Tensor) -> Tensor:
 
 def _summed(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, found: Partners, square_limit: Tensor
-) -> _Sums:
+) -> _PartnerSums:
     if native(found.square, rotation):
         return _compiled(source, target, pair, rotation, found, square_limit)
     close = found.square < square_limit[:, None]  # (R, L)
@@ -97,16 +97,16 @@ def _summed(
         total = close.sum(dim=1).double().clamp(min=1)
         a, b = ((part - (lane_sums(part * weight) / total)[..., None]).mul_(weight) for part in (one, other))
         squares = torch.stack([lane_sums(x * y) for x, y in ((a, b), (a, a), (b, b))])
-    return _Sums(close.sum(dim=1), lane_sums(closeness.double()), lane_sums(cosines.double()), *squares)
+    return _PartnerSums(close.sum(dim=1), lane_sums(closeness.double()), lane_sums(cosines.double()), *squares)
 
 
 def _compiled(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, found: Partners, square_limit: Tensor
-) -> _Sums:
+) -> _PartnerSums:
     """As ``_summed``."""
     normals = (source.normals, target.all_normals) if _have_normals(source, target) else (None, None)
     colors = (source.colors, target.all_colors) if _have_colors(source, target) else (None, None)
     count, sums = torch.empty_like(pair), torch.empty(2 + 3 * _CHANNELS, len(pair), dtype=torch.float64)
     tensors = (*found, square_limit, pair, rotation, *normals, source.faced, target.all_faced, *colors, count, sums)
     call("partner_sums", *tensors, len(source.counts), target.all_points.shape[1], *found.square.shape)
-    return _Sums(count, sums[0], sums[1], *sums[2:].unflatten(0, (3, _CHANNELS)))
+    return _PartnerSums(count, sums[0], sums[1], *sums[2:].unflatten(0, (3, _CHANNELS)))
