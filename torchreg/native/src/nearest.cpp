@@ -95,6 +95,28 @@ struct Eight {
     Eight plus_product(double a, Eight b) const { return {_mm512_fmadd_pd(_mm512_set1_pd(a), b.of, of)}; }
     void store(double* to) const { _mm512_storeu_pd(to, of); }
 };
+#elif defined(__AVX2__)
+struct Eight {
+    __m256d low, high;
+    static Eight zero() { return {_mm256_setzero_pd(), _mm256_setzero_pd()}; }
+    static Eight load(const double* from) { return {_mm256_loadu_pd(from), _mm256_loadu_pd(from + 4)}; }
+    static Eight load(const float* from) {
+        return {_mm256_cvtps_pd(_mm_loadu_ps(from)), _mm256_cvtps_pd(_mm_loadu_ps(from + 4))};
+    }
+    Eight minus(Eight b) const { return {_mm256_sub_pd(low, b.low), _mm256_sub_pd(high, b.high)}; }
+    Eight plus(Eight b) const { return {_mm256_add_pd(low, b.low), _mm256_add_pd(high, b.high)}; }
+    Eight plus_square(Eight a) const {
+        return plus({_mm256_mul_pd(a.low, a.low), _mm256_mul_pd(a.high, a.high)});
+    }
+    Eight plus_product(double a, Eight b) const {
+        const __m256d factor = _mm256_set1_pd(a);
+        return plus({_mm256_mul_pd(factor, b.low), _mm256_mul_pd(factor, b.high)});
+    }
+    void store(double* to) const {
+        _mm256_storeu_pd(to, low);
+        _mm256_storeu_pd(to + 4, high);
+    }
+};
 #else
 struct Eight {
     double of[8];
