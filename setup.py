@@ -41,7 +41,7 @@ def extension(name: str, instructions: list[str]) -> Extension:
         options, links = ["/std:c++17", "/O2", "/fp:precise", "/EHsc"], []
     else:
         options = ["-std=c++17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
-        options += ["-fvisibility=hidden", "-pthread", "-g0"]
+        options += ["-fvisibility=hidden", "-pthread", "-g0", "-Wno-maybe-uninitialized"]
         links = ["-pthread"]
     return Extension(
         f"torchreg.native.lib.{name}",
