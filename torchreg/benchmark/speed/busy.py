@@ -77,7 +77,7 @@ def table(rows: Sequence[Row]) -> str:
         ]
         lines.append([METHODS[name].title, *times, f"{slower:.2f}", *ratios])
     faster = [f"{METHODS[peer].title} takes, {state}" for peer in _PEERS if peer in names for state in _STATES]
-    return markdown_table([f"{len(measured)} pairs", *_STATES, "busy / quiet", *faster], lines)
+    return markdown_table([f"real pairs: {len(measured)}", *_STATES, "busy / quiet", *faster], lines)
 
 
 def _measured(pair: RealPair, repeats: int) -> Row:

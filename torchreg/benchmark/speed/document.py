@@ -24,8 +24,8 @@ CAPTION = (
     "Two stations of a simulated mall, so many points a cloud drawn at random; supports 2 spacings (normals, 30 "
     f"nearest; color) and 5 spacings (FPFH, {NEIGHBORS} nearest). Stages take neighborhoods that are at hand, but for "
     "the rows that say search; Open3D searches in every stage. Open3D computes FPFH alone wherever it says FPFH + "
-    "PCFH, and in the whole pair. RANSAC and the whole pair draw all hypotheses (600,000 in the whole pair), without "
-    "an early end. Medians in turn after a warm-up, least and most in brackets."
+    "PCFH, and in the whole pair. RANSAC and the whole pair draw all hypotheses (600,000 in the whole pair, few in a "
+    "quick run), without an early end. Medians in turn after a warm-up, least and most in brackets."
 )
 
 
