@@ -25,7 +25,7 @@ from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
-from torchreg.geometry.numerics.interleaved import interleaved_sum
+from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 
@@ -119,7 +119,7 @@ def _moments(value: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation (r,) of values (r, K) where the weight is 1."""
     share = 1 / weight.sum(dim=1).clamp(min=1)
     weighted = value * weight
-    mean = interleaved_sum(weighted) * share
-    variance = (interleaved_sum(weighted * value) * share - mean * mean).clamp(min=0)
+    mean = lane_sums(weighted, NEIGHBOR_LANES) * share
+    variance = (lane_sums(weighted * value, NEIGHBOR_LANES) * share - mean * mean).clamp(min=0)
     # by the reciprocal root: torch's square root on the CPU is not the nearest number
     return mean, variance * variance.clamp(min=torch.finfo(variance.dtype).tiny).rsqrt()

@@ -15,9 +15,9 @@ from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import expect
 from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
-from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.derivatives import derivative_wanted
-from torchreg.geometry.numerics.interleaved import interleaved_sum
+from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
@@ -116,7 +116,7 @@ def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
         points = cloud.points[begin:end].double()
         if begin == end:
             continue
-        center = stable_sum(points) / len(points)
+        center = lane_sums(points, dim=0) / len(points)
         if viewpoint is not None:
             given = torch.isfinite(viewpoint[b]).all()
             center = torch.where(given, viewpoint[b].double(), center)
@@ -131,10 +131,10 @@ def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, part: slic
     share = 1 / count.clamp(min=1).double()
     weight = valid.double()
     offset = [((column[index] - column[part, None]) * weight) for column in (x, y, z)]
-    mean = [interleaved_sum(axis) * share for axis in offset]
+    mean = [lane_sums(axis, NEIGHBOR_LANES) * share for axis in offset]
 
     def moment(i: int, j: int) -> Tensor:
-        return interleaved_sum(offset[i] * offset[j]) * share - mean[i] * mean[j]
+        return lane_sums(offset[i] * offset[j], NEIGHBOR_LANES) * share - mean[i] * mean[j]
 
     entries = {(i, j): moment(i, j) for i in range(3) for j in range(i, 3)}
     lines = [torch.stack([entries[min(i, j), max(i, j)] for j in range(3)], dim=-1) for i in range(3)]

@@ -18,6 +18,7 @@ from torchreg.errors import expect, expect_shape
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.morton import occupied_cells
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.native import call, native
 from torchreg.neighborhoods.point_index import several_nearest
 from torchreg.preprocess.downsample import CountedVoxels, counted_voxels, in_morton_order, voxel_downsample
@@ -206,7 +207,7 @@ def _moments_compiled(
 
 def _in_order(values: Tensor) -> Tensor:
     """Sums (r, ...) of values (r, K, ...), one after another."""
-    return values.cumsum(dim=1)[:, -1]
+    return lane_sums(values, 1, dim=1)
 
 
 def _flattest(variances: Tensor, near: Tensor) -> Tensor:

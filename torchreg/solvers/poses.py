@@ -21,7 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.native import call, native
 from torchreg.solvers.local_optimization import optimize
@@ -186,9 +186,9 @@ def _vectors(rotation: Tensor, translation: Tensor, mean: Tensor, root: Tensor) 
 def _moments(source: Tensor, valid: Tensor, counts: Sequence[int]) -> tuple[Tensor, Tensor]:
     """The means (3, B) and roots (3, 3, B) of the covariances of points (3, B, M), where valid (B, M)."""
     count = torch.tensor([max(1, number) for number in counts], dtype=source.dtype, device=source.device)
-    mean = row_sums(source) / count
+    mean = lane_sums(source) / count
     moved = torch.where(valid, source - mean[..., None], 0.0)
-    products = row_sums((moved[:, None] * moved[None]).flatten(0, 1)) / count  # (9, B)
+    products = lane_sums((moved[:, None] * moved[None]).flatten(0, 1)) / count  # (9, B)
     values, vectors = torch.linalg.eigh(products.t().reshape(-1, 3, 3))
     root = vectors * values.clamp(min=0).sqrt()[:, None]
     return mean, root.permute(1, 2, 0)

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.lanes import lane_sums
-from torchreg.geometry.numerics.sums import padded_row_sums
+from torchreg.geometry.numerics.sums import SAMPLE_LANES, lane_sums
 from torchreg.native import call, native
 
 _LEAST = 6  # points that can hold a pose
@@ -38,8 +37,8 @@ def information_matrices(points: Tensor, valid: Tensor) -> Tensor:
     in the frame of the file, where ``valid`` (G, L).
     """
     wide = torch.where(valid, points, 0.0)
-    x, y, z = padded_row_sums(wide).unbind(0)
-    xx, yy, zz, xy, xz, yz = padded_row_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
+    x, y, z = lane_sums(wide).unbind(0)
+    xx, yy, zz, xy, xz, yz = lane_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
     all_squares, zero, count = xx + yy + zz, torch.zeros_like(x), valid.sum(dim=1).double()
     rows = [  # the sum of -[p]x [p]x, [p]x and the identity
         [all_squares - xx, zero - xy, zero - xz, zero, -z, y],
@@ -69,7 +68,7 @@ def weakest_motions(points: Tensor, normals: Tensor, valid: Tensor) -> WeakestMo
     apart = p - planes.center[..., None]
     moved = torch.linalg.cross(turn.t()[..., None].expand_as(p), apart, dim=0) + shift.t()[..., None]
     x, y, z = torch.where(valid, moved, 0.0).square_().unbind(0)
-    square = padded_row_sums(x.add_(y).add_(z)) / valid.sum(dim=1).clamp(min=1)
+    square = lane_sums(x.add_(y).add_(z)) / valid.sum(dim=1).clamp(min=1)
     far = square.sqrt().clamp(min=1e-12)[:, None]
     return WeakestMotion(strength, turn / far, shift / far, planes.center.t())
 
@@ -110,7 +109,7 @@ def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor
         return products, center, square
     weight = valid.double()  # (R, L)
     p, n = points.double(), normals.double()  # (3, R, L)
-    center = lane_sums(p * weight) / valid.sum(dim=1).clamp(min=1)
+    center = lane_sums(p * weight, SAMPLE_LANES) / valid.sum(dim=1).clamp(min=1)
     (x, y, z), (a, b, c) = (p - center[..., None]).mul_(weight).unbind(0), (n * weight).unbind(0)
     motions = torch.stack([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c])  # (6, R, L)
     products = torch.empty(21, *weight.shape, dtype=motions.dtype, device=motions.device)
@@ -118,7 +117,7 @@ def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor
     for i in range(6):
         torch.mul(motions[i:], motions[i], out=products[begin : begin + 6 - i])
         begin += 6 - i
-    return lane_sums(products), center, lane_sums(x * x + y * y + z * z)
+    return lane_sums(products, SAMPLE_LANES), center, lane_sums(x * x + y * y + z * z, SAMPLE_LANES)
 
 
 def _strength(matrix: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.gather import gather, gather_columns
-from torchreg.geometry.numerics.lanes import lane_sums
+from torchreg.geometry.numerics.sums import SAMPLE_LANES, lane_sums
 from torchreg.native import call, native
 from torchreg.verification.partners import Partners
 from torchreg.verification.scans import Scans, rotated
@@ -95,9 +95,16 @@ def _summed(
     if source.colors is not None and target.all_colors is not None:
         one, other = source.colors[:, pair], gather_columns(target.all_colors, found.row)  # (3, R, L)
         total = close.sum(dim=1).double().clamp(min=1)
-        a, b = ((part - (lane_sums(part * weight) / total)[..., None]).mul_(weight) for part in (one, other))
-        squares = torch.stack([lane_sums(x * y) for x, y in ((a, b), (a, a), (b, b))])
-    return _PartnerSums(close.sum(dim=1), lane_sums(closeness.double()), lane_sums(cosines.double()), *squares)
+        a, b = (
+            (part - (lane_sums(part * weight, SAMPLE_LANES) / total)[..., None]).mul_(weight) for part in (one, other)
+        )
+        squares = torch.stack([lane_sums(x * y, SAMPLE_LANES) for x, y in ((a, b), (a, a), (b, b))])
+    return _PartnerSums(
+        close.sum(dim=1),
+        lane_sums(closeness.double(), SAMPLE_LANES),
+        lane_sums(cosines.double(), SAMPLE_LANES),
+        *squares,
+    )
 
 
 def _compiled(

@@ -1,6 +1,6 @@
 // Local color contrast: spread and shift of every color channel, near a point and farther.
-#include "interleaved.hpp"
 #include "slots.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 namespace {
@@ -43,13 +43,13 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
             const float* own = table.data() + RECORD * row;
             const float radius = inner[row];
             const int64_t used = slots.used(row);
-            alignas(64) float lanes[3 * SUMS][LANES] = {};
+            alignas(64) float lanes[3 * SUMS][NEIGHBOR_LANES] = {};
             float sums[3 * SUMS];
             int64_t near_count = 0, far_count = 0;
-            for (int64_t first = 0; first < used; first += LANES) {
-                alignas(64) float others[RECORD * LANES], core[LANES], whole[LANES];
-                const int64_t here = std::min(LANES, used - first);
-                for (int64_t k = 0; k < LANES; ++k) {
+            for (int64_t first = 0; first < used; first += NEIGHBOR_LANES) {
+                alignas(64) float others[RECORD * NEIGHBOR_LANES], core[NEIGHBOR_LANES], whole[NEIGHBOR_LANES];
+                const int64_t here = std::min(NEIGHBOR_LANES, used - first);
+                for (int64_t k = 0; k < NEIGHBOR_LANES; ++k) {
                     const int64_t slot = first + std::min(k, here - 1);
                     std::memcpy(others + RECORD * k, table.data() + RECORD * indices[slot], RECORD * sizeof(float));
                     const bool counted = (k < here) & (flags[slot] != 0), close = counted & (squares[slot] < radius);
@@ -59,7 +59,7 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                     near_count += close;
                 }
                 for (int64_t c = 0; c < 3; ++c)
-                    for (int64_t k = 0; k < LANES; ++k) {
+                    for (int64_t k = 0; k < NEIGHBOR_LANES; ++k) {
                         const float value = others[RECORD * k + c] - own[c];
                         const float near = value * core[k], far = value * whole[k];
                         lanes[SUMS * c][k] += near;
@@ -68,7 +68,7 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                         lanes[SUMS * c + 3][k] += far * value;
                     }
             }
-            add_lanes<3 * SUMS>(lanes, sums);
+            for (int64_t sum = 0; sum < 3 * SUMS; ++sum) sums[sum] = fold(lanes[sum], NEIGHBOR_LANES);
             const float described = far_count > 1 ? 1.0f : 0.0f;
             float* result = out + COLUMNS * row;
             for (int64_t c = 0; c < 3; ++c) {

@@ -1,7 +1,7 @@
 // What poses show on clouds, pose by pose: torchreg/verification/evidence.py and the files that it takes terms from.
 //
 // R poses, of G pairs whose samples of at most L points stand side by side; sums over points are in 64 lanes.
-#include "lanes.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 namespace {
@@ -157,7 +157,7 @@ KERNEL partner_sums(const int64_t* row, const float* square, const float* limit,
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> close;
         close.reserve(length);
-        Lanes first(8), second(9);
+        SparseLanes first(8), second(9);
         for (int64_t r = begin; r < end; ++r) {
             const int64_t g = pair[r], *partner = row + r * length;
             gather_close(square + r * length, limit[r], length, close);
@@ -214,7 +214,7 @@ static int64_t planes(const T* points, const float* normals, const uint8_t* vali
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> close;
         close.reserve(length);
-        Lanes means(3), sums(22);
+        SparseLanes means(3), sums(22);
         const int64_t plane = rows * length;
         for (int64_t r = begin; r < end; ++r) {
             const T* p = points + r * length;
@@ -267,7 +267,7 @@ KERNEL feature_sums(const float* own, const float* other, const int64_t* row, co
                     const int64_t* pair, int64_t* counts, double* sums, int64_t thin, int64_t stride, int64_t width,
                     int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
-        Lanes lanes(4 * width);
+        SparseLanes lanes(4 * width);
         for (int64_t r = begin; r < end; ++r) {
             lanes.clear();
             int64_t count = 0;

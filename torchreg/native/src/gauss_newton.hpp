@@ -1,32 +1,12 @@
 // What kinds of ICP share: sums over blocks of 256 rows, the products of (J, r), and the update that follows from them.
 #pragma once
 
-#include "common.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 
 constexpr int64_t BLOCK = 256;
 constexpr int64_t PRODUCTS = 28;  // the upper triangle of 7 x 7
-
-// The sum of a block, as `refinement/blocks.py` has it: the later half is added to the earlier one. Overwrites them.
-inline double halved(double* values) {
-    for (int64_t half = BLOCK / 2; half > 0; half /= 2)
-        for (int64_t i = 0; i < half; ++i) values[i] = values[i] + values[i + half];
-    return values[0];
-}
-
-// The sums of a pair's blocks (blocks, channels) into `out`, neighbors first. Overwrites them.
-inline void sum_blocks(double* partial, int64_t blocks, int64_t channels, double* out) {
-    while (blocks > 1) {
-        const int64_t half = blocks / 2;
-        for (int64_t i = 0; i < half; ++i)
-            for (int64_t c = 0; c < channels; ++c)
-                partial[i * channels + c] = partial[2 * i * channels + c] + partial[(2 * i + 1) * channels + c];
-        if (blocks % 2) std::copy_n(partial + (blocks - 1) * channels, channels, partial + half * channels);
-        blocks = half + blocks % 2;
-    }
-    std::copy_n(partial, channels, out);
-}
 
 // `jacobian` and `products`, summed over a block: rows p (3, 256) and d (3, 256), residuals and weights (256); adds
 // nothing, writes sums (28).
@@ -44,7 +24,7 @@ inline void block_products(const double (*p)[BLOCK], const double (*d)[BLOCK], c
         for (int64_t r = 0; r < BLOCK; ++r) weighted[r] = J[i][r] * weight[r];
         for (int j = i; j < 7; ++j) {
             for (int64_t r = 0; r < BLOCK; ++r) product[r] = J[j][r] * weighted[r];
-            sums[place++] = halved(product);
+            sums[place++] = fold(product, BLOCK);
         }
     }
 }

@@ -1,5 +1,6 @@
 // Histograms of neighbors, summed by the inverse squares of their distances.
 #include "slots.hpp"
+#include "sums.hpp"
 
 // torch's embedding_bag, which is the definition, adds by fused multiply-adds: the one place where they are wanted.
 #if defined(__AVX2__) && defined(__GNUC__)
@@ -63,7 +64,7 @@ KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index,
     const Slots slots{index, index_stride, valid, valid_stride, width};
     const float smallest = static_cast<float>(least);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
-        std::vector<float> sums(pitch);
+        std::vector<float> sums(pitch), addends(bins);
         Weighted near;
         for (int64_t row = begin; row < end; ++row) {
             const int64_t* indices = slots.index_of(row);
@@ -82,9 +83,8 @@ KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index,
                 add_all(near, pitch, sums.data());
             }
             for (int64_t block = 0; block < columns; block += bins) {
-                double sum = 0.0;
-                for (int64_t bin = block; bin < block + bins; ++bin) sum += static_cast<double>(sums[bin]);
-                const float total = static_cast<float>(sum);
+                std::copy_n(sums.data() + block, bins, addends.data());
+                const float total = fold(addends.data(), bins);
                 const float scale = total > 0.0f ? (1.0f / total) * 100.0f : 0.0f;
                 for (int64_t bin = block; bin < block + bins; ++bin) {
                     const float result = sums[bin] * scale;

@@ -103,7 +103,8 @@ struct Pair {
         parallel(threads, blocks, 2, [&](int64_t begin, int64_t end, int64_t) {
             for (int64_t block = begin; block < end; ++block) sum_block(block, R, t);
         });
-        sum_blocks(partial.data(), blocks, CHANNELS, sums);
+        fold_rows(partial.data(), blocks, CHANNELS);
+        std::copy_n(partial.data(), CHANNELS, sums);
         fitness = sums[PRODUCTS] / double(length);
         rmse = square_root(sums[PRODUCTS + 1] / std::max(sums[PRODUCTS], 1.0));
     }
@@ -126,8 +127,8 @@ struct Pair {
         }
         double* out = partial.data() + block * CHANNELS;
         block_products(p, n, residual, inside, out);
-        out[PRODUCTS] = halved(inside);
-        out[PRODUCTS + 1] = halved(square);
+        out[PRODUCTS] = fold(inside, BLOCK);
+        out[PRODUCTS + 1] = fold(square, BLOCK);
     }
 };
 

@@ -1,22 +1,11 @@
 // Hypotheses scored, refitted to their inliers, and thinned to distinct ones (torchreg/solvers/scoring.py,
 // local_optimization.py and poses.py).
 #include "rotation.hpp"
+#include "sums.hpp"
 
 using namespace torchreg;
 
 namespace {
-
-// The sum of n numbers by halves, which it overwrites: numerics.halving.halved.
-inline double halved(double* values, int64_t n) {
-    if (n == 0) return 0.0;
-    int64_t half = 1;
-    while (half < n) half *= 2;
-    for (half /= 2; half > 0; half /= 2) {
-        for (int64_t k = half; k < n; ++k) values[k - half] += values[k];
-        n = std::min(n, half);
-    }
-    return values[0] + 0.0;
-}
 
 struct Matches {  // of pairs side by side, (3, pairs, width) twice in meters; those behind the last of a pair not valid
     const double* source;
@@ -55,7 +44,7 @@ inline Support score(const Matches& all, int64_t pair, const double* R, const do
         count += inside;
         square[m] = inside ? square[m] : 0.0;
     }
-    return {count, halved(square, all.width)};
+    return {count, fold(square, all.width)};
 }
 
 class Refit {  // least squares over the inliers of one pose after another, in memory of one thread
@@ -76,14 +65,14 @@ class Refit {  // least squares over the inliers of one pose after another, in m
             double* own = part(i);
             for (int64_t k = 0; k < n; ++k) own[k] = values[column_[k]];
             std::copy_n(own, n, sum);
-            mean[i] = halved(sum, n) / total;
+            mean[i] = fold(sum, n) / total;
             for (int64_t k = 0; k < n; ++k) own[k] -= mean[i];
         }
         for (int64_t i = 0; i < 3; ++i)
             for (int64_t j = 0; j < 3; ++j) {
                 const double *p = part(i), *q = part(3 + j);
                 for (int64_t k = 0; k < n; ++k) sum[k] = p[k] * q[k];
-                covariance[3 * i + j] = halved(sum, n);
+                covariance[3 * i + j] = fold(sum, n);
             }
         best_rotation(covariance, R);
         best_translation(R, mean, mean + 3, t);

@@ -113,8 +113,10 @@ KERNEL surfel_equations(const double* moved, const double* normal, const double*
             block_products(p, d, distance + at, weight, partial.data() + block * PRODUCTS);
         }
     });
-    for (int64_t b = 0; b < pairs; ++b)
-        sum_blocks(partial.data() + first_block[b] * PRODUCTS, first_block[b + 1] - first_block[b], PRODUCTS,
-                   sums + b * PRODUCTS);
+    for (int64_t b = 0; b < pairs; ++b) {
+        double* own = partial.data() + first_block[b] * PRODUCTS;
+        fold_rows(own, first_block[b + 1] - first_block[b], PRODUCTS);
+        std::copy_n(own, PRODUCTS, sums + b * PRODUCTS);
+    }
     return 0;
 }

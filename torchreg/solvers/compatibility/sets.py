@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.sums import sum_in_order
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.native import call, native
 from torchreg.solvers.compatibility.graph import second_order
 
@@ -77,16 +77,21 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
 
 def _moments(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Of members and weights (K, S): means (3, S) twice, covariances (3, 3, S), and which spread across a line."""
-    total = sum_in_order(weights)
+    total = _total(weights)
     share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
     p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
-    mean_p, mean_q = sum_in_order(p * share), sum_in_order(q * share)  # (3, S)
+    mean_p, mean_q = _total(p * share), _total(q * share)  # (3, S)
     p, q = p - mean_p[:, None], q - mean_q[:, None]
     weighted = p * share
-    covariance = sum_in_order(weighted[:, None] * q[None])  # (3, 3, S)
-    broad = _spans_plane(sum_in_order(weighted[:, None] * p[None]))
-    broad &= _spans_plane(sum_in_order((q * share)[:, None] * q[None]))
+    covariance = _total(weighted[:, None] * q[None])  # (3, 3, S)
+    broad = _spans_plane(_total(weighted[:, None] * p[None]))
+    broad &= _spans_plane(_total((q * share)[:, None] * q[None]))
     return mean_p, mean_q, covariance, broad & (total > 0)
+
+
+def _total(values: Tensor) -> Tensor:
+    """Sums (..., S) of values (..., K, S), one after another."""
+    return lane_sums(values, 1, dim=-2)
 
 
 def _largest(counts: Tensor, number: int) -> Tensor:
