@@ -23,15 +23,12 @@ struct Moments {
 float share_of(int64_t count) { return 1.0f / static_cast<float>(std::max<int64_t>(count, 1)); }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // contrast of descriptors/contrast.py in float32: colors (P, 3), neighborhoods (P, K) with squared distances, inner
 // (P,) the square of the near radius, `level` added to means that divide, `constant` the last entry -> out (P, 10).
-KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
-                    int64_t valid_stride, const float* square, int64_t square_stride, const float* inner,
-                    int64_t count, int64_t width, double level, double constant, float* out, int64_t threads) {
+KERNEL contrast(const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
+                int64_t valid_stride, const float* square, int64_t square_stride, const float* inner, int64_t count,
+                int64_t width, double level, double constant, float* out, int64_t threads) {
     const Slots slots{index, index_stride, valid, valid_stride, width};
     const std::vector<float> table = records(colors, count);
     const float least = static_cast<float>(level);
@@ -68,7 +65,7 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                         lanes[SUMS * c + 3][k] += far * value;
                     }
             }
-            for (int64_t sum = 0; sum < 3 * SUMS; ++sum) sums[sum] = fold(lanes[sum], NEIGHBOR_LANES);
+            for (int64_t sum = 0; sum < 3 * SUMS; ++sum) sums[sum] = fold<NEIGHBOR_LANES>(lanes[sum]);
             const float described = far_count > 1 ? 1.0f : 0.0f;
             float* result = out + COLUMNS * row;
             for (int64_t c = 0; c < 3; ++c) {
@@ -85,3 +82,5 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
     });
     return 0;
 }
+
+}  // namespace torchreg

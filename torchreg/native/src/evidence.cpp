@@ -206,10 +206,8 @@ KERNEL partner_sums(const int64_t* row, const float* square, const float* limit,
     return 0;
 }
 
-// Equals `_moment_sums` of information.py, of points (3, R, L), meters, with normals (3, R, L) float32, where valid (R, L)
-// bool. Writes products (21, R), centers (3, R) and squares (R), all float64.
 template <typename T>
-static int64_t planes(const T* points, const float* normals, const uint8_t* valid, double* products, double* centers,
+int64_t moment_sums(const T* points, const float* normals, const uint8_t* valid, double* products, double* centers,
                       double* squares, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> close;
@@ -248,15 +246,12 @@ static int64_t planes(const T* points, const float* normals, const uint8_t* vali
     return 0;
 }
 
-KERNEL moment_sums_float(const float* points, const float* normals, const uint8_t* valid, double* products,
-                               double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
-    return planes(points, normals, valid, products, centers, squares, rows, length, threads);
-}
-
-KERNEL moment_sums_double(const double* points, const float* normals, const uint8_t* valid, double* products,
-                                double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
-    return planes(points, normals, valid, products, centers, squares, rows, length, threads);
-}
+// Equals `_moment_sums` of information.py, of points (3, R, L), meters, with normals (3, R, L) float32, where valid (R, L)
+// bool. Writes products (21, R), centers (3, R) and squares (R), all float64.
+KERNELS(moment_sums,
+        (const Real* points, const float* normals, const uint8_t* valid, double* products, double* centers,
+         double* squares, int64_t rows, int64_t length, int64_t threads),
+        (points, normals, valid, products, centers, squares, rows, length, threads))
 
 // Equals `_summed` of concordance.py.
 //

@@ -24,7 +24,7 @@ inline void block_products(const double (*p)[BLOCK], const double (*d)[BLOCK], c
         for (int64_t r = 0; r < BLOCK; ++r) weighted[r] = J[i][r] * weight[r];
         for (int j = i; j < 7; ++j) {
             for (int64_t r = 0; r < BLOCK; ++r) product[r] = J[j][r] * weighted[r];
-            sums[place++] = fold(product, BLOCK);
+            sums[place++] = fold<BLOCK>(product);
         }
     }
 }

@@ -47,16 +47,13 @@ void add_all(Weighted& near, int64_t pitch, float* sums) {
 }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // add_weighted_neighbors of descriptors/histograms.py in float32: histograms (P, D) of D / bins blocks, neighborhoods
 // (P, K) with squared distances; `least` stands in for smaller ones -> out (P, D).
-KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index, int64_t index_stride,
-                                  const uint8_t* valid, int64_t valid_stride, const float* square,
-                                  int64_t square_stride, int64_t count, int64_t width, int64_t columns, int64_t bins,
-                                  int64_t keep_own, double least, float* out, int64_t threads) {
+KERNEL add_weighted_neighbors(const float* histograms, const int64_t* index, int64_t index_stride,
+                              const uint8_t* valid, int64_t valid_stride, const float* square, int64_t square_stride,
+                              int64_t count, int64_t width, int64_t columns, int64_t bins, int64_t keep_own,
+                              double least, float* out, int64_t threads) {
     const int64_t pitch = (columns + STEP - 1) / STEP * STEP;
     std::vector<float> table(pitch * count);
     for (int64_t row = 0; row < count; ++row)
@@ -95,3 +92,5 @@ KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index,
     });
     return 0;
 }
+
+}  // namespace torchreg

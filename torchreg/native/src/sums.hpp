@@ -27,6 +27,18 @@ inline T fold(T* lanes, int64_t n) {
     return lanes[0] + T(0);
 }
 
+// As `fold`, of a number of lanes that the compiler knows.
+template <int64_t N, typename T>
+inline T fold(T* lanes) {
+    if constexpr (N == 1) {
+        return lanes[0] + T(0);
+    } else {
+#pragma GCC ivdep
+        for (int64_t k = 0; k < N / 2; ++k) lanes[k] += lanes[k + N / 2];
+        return fold<N / 2>(lanes);
+    }
+}
+
 // As `fold`, of n rows of `width` sums each; the totals are the first row.
 template <typename T>
 inline void fold_rows(T* rows, int64_t n, int64_t width) {
