@@ -83,8 +83,8 @@ class Contrast(Descriptor):
 def _contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
     """Contrast (P, 10) of every point; ``inner`` (P, 1) is the square of the radius of its inner support."""
     single = colors.dtype == near.sq_distance.dtype == torch.float32
-    if single and native(colors, near.index, near.valid, near.sq_distance):
-        return _native_contrast(colors, near, inner)
+    if native(colors, near.index, near.valid, near.sq_distance) and single:
+        return _contrast_compiled(colors, near, inner)
     channels = [channel.contiguous() for channel in colors.detach().unbind(1)]
     out = colors.new_empty(len(colors), CONTRAST_SIZE)
     for part in row_chunks(len(colors), near.max_neighbors):
@@ -107,11 +107,12 @@ def _contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
     return out
 
 
-def _native_contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
+def _contrast_compiled(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
+    """As ``_contrast``."""
     out = colors.new_empty(len(colors), CONTRAST_SIZE)
     slots = *rows(near.index), *rows(near.valid), *rows(near.sq_distance)
     sizes = len(colors), near.max_neighbors
-    call("contrast_f32", colors.detach().contiguous(), *slots, inner.contiguous(), *sizes, _FLOOR, _CONSTANT, out)
+    call("contrast", colors.detach().contiguous(), *slots, inner.contiguous(), *sizes, _FLOOR, _CONSTANT, out)
     return out
 
 

@@ -23,10 +23,7 @@ def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality =
     """Refit hypotheses to their inliers until none gets better, at most ``rounds`` times."""
     scored = Scored(*(part.clone(memory_format=torch.contiguous_format) for part in scored))
     if native(*scored) and quality in ERROR_SHARES:
-        poses = (scored.rotation, scored.translation, scored.pair, points.squared_thresholds()[scored.pair])
-        by = (max(0, rounds), ERROR_SHARES[quality])
-        call("optimize_poses", *poses, len(scored.pair), *points.kernel_arguments(), *by, *scored[3:])
-        return scored
+        return _optimized_compiled(scored, points, rounds, ERROR_SHARES[quality])
     active = torch.arange(len(scored.support), device=scored.pair.device)
     before = scored
     for _ in range(rounds):
@@ -38,6 +35,14 @@ def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality =
             break
         active, before = active[gained], refitted.take(gained)
         scored.put(active, before)
+    return scored
+
+
+def _optimized_compiled(scored: Scored, points: PairPoints, rounds: int, share: float) -> Scored:
+    """As ``optimize``, in place, by the quality with this share of the error."""
+    poses = (scored.rotation, scored.translation, scored.pair, points.squared_thresholds()[scored.pair])
+    by = (max(0, rounds), share)
+    call("optimize_poses", *poses, len(scored.pair), *points.kernel_arguments(), *by, *scored[3:])
     return scored
 
 

@@ -15,9 +15,6 @@ from torchreg.errors import expect
 from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.types import Clouds, Correspondences
 
-KERNEL_TYPES = {torch.float32: "f32", torch.float64: "f64"}
-"""The ends of the names of compiled kernels, by the type of the numbers that they take."""
-
 _MASK = (1 << 64) - 1
 
 

@@ -50,11 +50,7 @@ def concordance(one: Tensor, other: Tensor, pair: Tensor, found: Partners, squar
 
 def _summed(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_limit: Tensor) -> _FeatureSums:
     if native(one, other, found.square):
-        width, (rows, length) = one.shape[2], found.square.shape
-        count, sums = torch.empty_like(pair), torch.empty(4, rows, width, dtype=torch.float64)
-        tensors = (one, other, *found, square_limit, pair, count, sums)
-        call("feature_sums", *tensors, one.shape[1], STRIDE, width, rows, length)
-        return _FeatureSums(count, *sums)
+        return _summed_compiled(one, other, pair, found, square_limit)
     close = thinned(found.square < square_limit[:, None])[..., None]  # (R, L', 1)
     row = thinned(found.row)
     own = torch.where(close, one[pair], 0.0)
@@ -62,3 +58,12 @@ def _summed(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_li
     difference = own - partner
     numbers = (difference * difference, own * own + partner * partner, own, partner)
     return _FeatureSums(close.sum(dim=(1, 2)), *(lane_sums(values.double(), SAMPLE_LANES, dim=1) for values in numbers))
+
+
+def _summed_compiled(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_limit: Tensor) -> _FeatureSums:
+    """As ``_summed``."""
+    width, (rows, length) = one.shape[2], found.square.shape
+    count, sums = torch.empty_like(pair), torch.empty(4, rows, width, dtype=torch.float64)
+    tensors = (one, other, *found, square_limit, pair, count, sums)
+    call("feature_sums", *tensors, one.shape[1], STRIDE, width, rows, length)
+    return _FeatureSums(count, *sums)

@@ -14,10 +14,9 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.sums import SAMPLE_LANES, lane_sums
-from torchreg.native import call, native
+from torchreg.native import KERNEL_TYPES, call, native
 
 _LEAST = 6  # points that can hold a pose
-_KERNELS = {torch.float32: "moment_sums_float", torch.float64: "moment_sums_double"}
 _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # xx, yy, zz, xy, xz, yz
 
 
@@ -99,14 +98,8 @@ def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor
     The upper triangles (21, R) of point-to-plane information, row by row, turns in radians about the centers; the
     centers (3, R); and the squared distances to these (R,).
     """
-    if native(points, normals, valid) and normals.dtype == torch.float32 and points.dtype in _KERNELS:
-        rows = len(valid)
-        products, center, square = (
-            torch.empty(shape, dtype=torch.float64) for shape in ((21, rows), (3, rows), (rows,))
-        )
-        parts = (part.contiguous() for part in (points, normals, valid))
-        call(_KERNELS[points.dtype], *parts, products, center, square, *valid.shape)
-        return products, center, square
+    if native(points, normals, valid) and points.dtype in KERNEL_TYPES and normals.dtype == torch.float32:
+        return _moments_compiled(points, normals, valid)
     weight = valid.double()  # (R, L)
     p, n = points.double(), normals.double()  # (3, R, L)
     center = lane_sums(p * weight, SAMPLE_LANES) / valid.sum(dim=1).clamp(min=1)
@@ -118,6 +111,15 @@ def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor
         torch.mul(motions[i:], motions[i], out=products[begin : begin + 6 - i])
         begin += 6 - i
     return lane_sums(products, SAMPLE_LANES), center, lane_sums(x * x + y * y + z * z, SAMPLE_LANES)
+
+
+def _moments_compiled(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """As ``_moment_sums``."""
+    rows = len(valid)
+    products, center, square = (torch.empty(shape, dtype=torch.float64) for shape in ((21, rows), (3, rows), (rows,)))
+    parts = (part.contiguous() for part in (points, normals, valid))
+    call(f"moment_sums_{KERNEL_TYPES[points.dtype]}", *parts, products, center, square, *valid.shape)
+    return products, center, square
 
 
 def _strength(matrix: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

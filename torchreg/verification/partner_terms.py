@@ -79,7 +79,7 @@ def _summed(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, found: Partners, square_limit: Tensor
 ) -> _PartnerSums:
     if native(found.square, rotation):
-        return _compiled(source, target, pair, rotation, found, square_limit)
+        return _summed_compiled(source, target, pair, rotation, found, square_limit)
     close = found.square < square_limit[:, None]  # (R, L)
     weight = close.double()
     closeness = torch.where(close, 1 - found.square / square_limit[:, None], 0.0)
@@ -107,7 +107,7 @@ def _summed(
     )
 
 
-def _compiled(
+def _summed_compiled(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, found: Partners, square_limit: Tensor
 ) -> _PartnerSums:
     """As ``_summed``."""

@@ -125,8 +125,13 @@ def can_be_near(cells: Occupancy, scan: Tensor, queries: Tensor) -> Tensor:
 
 def near_counts(cells: Occupancy, scan: Tensor, queries: Tensor, valid: Tensor) -> Tensor:
     """How many (R,) int64 of the queries (3, R, N), where ``valid`` (R, N), ``can_be_near``."""
-    if not native(queries):
-        return (can_be_near(cells, scan, queries) & valid).sum(dim=1)
+    if native(queries):
+        return _counts_compiled(cells, scan, queries, valid)
+    return (can_be_near(cells, scan, queries) & valid).sum(dim=1)
+
+
+def _counts_compiled(cells: Occupancy, scan: Tensor, queries: Tensor, valid: Tensor) -> Tensor:
+    """As ``near_counts``."""
     counts = torch.empty_like(scan)
     parts = (queries.contiguous(), scan, valid.contiguous())
     call("near_counts", *parts, *cells, counts, len(cells.first), *queries.shape[1:])

@@ -151,8 +151,13 @@ def rotated(rotation: Tensor, planes: Tensor) -> Tensor:
 
 def moved_points(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
     """The samples of pairs (R,) under poses (R, 3, 3), (R, 3) float32: (3, R, L)."""
-    if not native(scans.points, rotation, translation):
-        return rotated(rotation, scans.points[:, pair]).add_(translation.t()[..., None])
+    if native(scans.points, rotation, translation):
+        return _moved_compiled(scans, pair, rotation, translation)
+    return rotated(rotation, scans.points[:, pair]).add_(translation.t()[..., None])
+
+
+def _moved_compiled(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
+    """As ``moved_points``."""
     moved = torch.empty(3, len(pair), scans.points.shape[2])
     call("moved_points", scans.points, pair, rotation, translation, moved, *scans.points.shape[1:2], *moved.shape[1:])
     return moved
