@@ -1,5 +1,5 @@
 // How many correspondences agree by chance: torchreg/solvers/compatibility/nodes.py.
-#include "agreement.hpp"
+#include "distances.hpp"
 
 namespace torchreg {
 namespace {

@@ -1,5 +1,5 @@
 // Which correspondences keep their distances: torchreg/solvers/compatibility/graph.py and nodes.py.
-#include "agreement.hpp"
+#include "distances.hpp"
 
 namespace torchreg {
 namespace {

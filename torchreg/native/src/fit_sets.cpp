@@ -1,5 +1,5 @@
 // Rigid transforms of weighted sets of correspondences: torchreg/solvers/compatibility/sets.py.
-#include "rotation.hpp"
+#include "best_rotation.hpp"
 
 namespace torchreg {
 namespace {

@@ -1,6 +1,7 @@
 // What kinds of ICP share: sums over blocks of 256 rows, the products of (J, r), and the update that follows from them.
 #pragma once
 
+#include "rigid.hpp"
 #include "sums.hpp"
 
 namespace torchreg {
@@ -8,8 +9,8 @@ namespace torchreg {
 constexpr int64_t BLOCK = 256;
 constexpr int64_t PRODUCTS = 28;  // the upper triangle of 7 x 7
 
-// `jacobian` and `products`, summed over a block: rows p (3, 256) and d (3, 256), residuals and weights (256); adds
-// nothing, writes sums (28).
+// Equals `products` of `jacobian`, summed over a block: rows p (3, 256) and d (3, 256), residuals and weights (256).
+// Writes sums (28).
 inline void block_products(const double (*p)[BLOCK], const double (*d)[BLOCK], const double* residual,
                            const double* weight, double* sums) {
     double J[7][BLOCK], weighted[BLOCK], product[BLOCK];
@@ -31,11 +32,6 @@ inline void block_products(const double (*p)[BLOCK], const double (*d)[BLOCK], c
 
 // Equals `square_root` of geometry/numerics/roots.py.
 inline double square_root(double x) { return x > 0 ? x * (1 / std::sqrt(x)) : 0.0; }
-
-// R x of a matrix (3, 3) and a vector, as `apply_rotation` has it.
-inline void rotated(const double* R, const double* x, double* out) {
-    for (int i = 0; i < 3; ++i) out[i] = (R[3 * i] * x[0] + R[3 * i + 1] * x[1]) + R[3 * i + 2] * x[2];
-}
 
 // Equals `rotation_zyx`, which calls the same sine and cosine.
 inline void rotation_zyx(double a, double b, double c, double* R) {

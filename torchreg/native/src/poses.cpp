@@ -1,6 +1,6 @@
 // Hypotheses scored, refitted to their inliers, and thinned to distinct ones (torchreg/solvers/scoring.py,
 // local_optimization.py and poses.py).
-#include "rotation.hpp"
+#include "best_rotation.hpp"
 #include "sums.hpp"
 
 namespace torchreg {
@@ -32,9 +32,9 @@ inline Support score(const Matches& all, int64_t pair, const double* R, const do
     const bool* valid = all.valid + pair * all.width;
     int64_t count = 0;
     for (int64_t m = 0; m < all.width; ++m) {
-        const double a = R[0] * x[m] + R[1] * y[m] + R[2] * z[m] + t[0] - u[m];
-        const double b = R[3] * x[m] + R[4] * y[m] + R[5] * z[m] + t[1] - v[m];
-        const double c = R[6] * x[m] + R[7] * y[m] + R[8] * z[m] + t[2] - w[m];
+        const double a = turned(R, 0, x[m], y[m], z[m]) + t[0] - u[m];
+        const double b = turned(R, 1, x[m], y[m], z[m]) + t[1] - v[m];
+        const double c = turned(R, 2, x[m], y[m], z[m]) + t[2] - w[m];
         square[m] = a * a + b * b + c * c;
     }
     for (int64_t m = 0; m < all.width; ++m) {

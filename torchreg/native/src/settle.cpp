@@ -38,10 +38,11 @@ inline double selected(std::vector<double>& values, int64_t count, int64_t k) {
 
 // Equals `SurfelPairs.residuals` without shades: moved (3, n, 256), partner (A, n, 256) with normal and variance from
 // column 3 on, extra (E, n, 256) normal and variance of the source, rotation (B, 3, 3), pair (n), inside (n, 256); least
-// cosine between normals. Writes distance, variance (n, 256), turned (3, n, 256), alike (n, 256).
+// cosine between normals. Writes distance, variance (n, 256), normals (3, n, 256) of the
+// source, turned, and alike (n, 256).
 KERNEL surfel_residuals(const double* moved, const double* partner, const double* extra, const double* rotation,
                         const int64_t* pair, const bool* inside, int64_t n, double facing, double* distance,
-                        double* variance, double* turned, bool* alike, int64_t threads) {
+                        double* variance, double* normals, bool* alike, int64_t threads) {
     const int64_t stride = n * BLOCK;
     parallel(threads, n, 16, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t block = begin; block < end; ++block) {
@@ -53,8 +54,8 @@ KERNEL surfel_residuals(const double* moved, const double* partner, const double
                 for (int i = 0; i < 3; ++i) {
                     const double normal = partner[(3 + i) * stride + r];
                     along[i] = (moved[i * stride + r] - partner[i * stride + r]) * normal;
-                    const double there = (R[3 * i] * own[0] + R[3 * i + 1] * own[1]) + R[3 * i + 2] * own[2];
-                    turned[i * stride + r] = there;
+                    const double there = turned(R, i, own[0], own[1], own[2]);
+                    normals[i * stride + r] = there;
                     facings[i] = there * normal;
                 }
                 distance[r] = (along[0] + along[1]) + along[2];
