@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.sums import lane_sums
+from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import call, native, rows
 from torchreg.types import Neighborhoods
 
@@ -59,7 +59,7 @@ def add_weighted_neighbors(histograms: Tensor, near: Neighborhoods, bins: int, *
     for part in row_chunks(len(histograms), near.max_neighbors):
         weights = inverse_square_weights(near.sq_distance[part], near.valid[part]).to(histograms.dtype)
         blocks = weighted_sum(histograms, near.index[part], weights).view(-1, histograms.shape[1] // bins, bins)
-        total = lane_sums(blocks)[..., None]
+        total = lane_sums(blocks, NEIGHBOR_LANES)[..., None]
         scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
         result = (blocks * scale).view(-1, histograms.shape[1])
         out[part] = result + histograms[part] if keep_own else result

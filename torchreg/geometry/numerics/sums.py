@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 NEIGHBOR_LANES = 16
-"""Of sums over the slots of a neighborhood, which kernels add up side by side."""
+"""Of sums over the slots of a neighborhood, or the bins of a histogram, which kernels add up side by side."""
 
 SAMPLE_LANES = 64
 """Of sums over the points of samples, most of which may have no partner."""

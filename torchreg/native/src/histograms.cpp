@@ -61,7 +61,7 @@ KERNEL add_weighted_neighbors(const float* histograms, const int64_t* index, int
     const Slots slots{index, index_stride, valid, valid_stride, width};
     const float smallest = static_cast<float>(least);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
-        std::vector<float> sums(pitch), addends(bins);
+        std::vector<float> sums(pitch);
         Weighted near;
         for (int64_t row = begin; row < end; ++row) {
             const int64_t* indices = slots.index_of(row);
@@ -80,8 +80,9 @@ KERNEL add_weighted_neighbors(const float* histograms, const int64_t* index, int
                 add_all(near, pitch, sums.data());
             }
             for (int64_t block = 0; block < columns; block += bins) {
-                std::copy_n(sums.data() + block, bins, addends.data());
-                const float total = fold(addends.data(), bins);
+                float lanes[NEIGHBOR_LANES] = {};
+                for (int64_t bin = 0; bin < bins; ++bin) lanes[bin % NEIGHBOR_LANES] += sums[block + bin];
+                const float total = fold<NEIGHBOR_LANES>(lanes);
                 const float scale = total > 0.0f ? (1.0f / total) * 100.0f : 0.0f;
                 for (int64_t bin = block; bin < block + bins; ++bin) {
                     const float result = sums[bin] * scale;

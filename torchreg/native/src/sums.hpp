@@ -6,7 +6,7 @@
 
 namespace torchreg {
 
-constexpr int64_t NEIGHBOR_LANES = 16;  // of sums over the slots of a neighborhood
+constexpr int64_t NEIGHBOR_LANES = 16;  // of sums over the slots of a neighborhood, or the bins of a histogram
 constexpr int64_t SAMPLE_LANES = 64;    // of sums over the points of a sample
 
 // The largest power of two below n, which is 2 at least.
