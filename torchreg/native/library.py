@@ -26,6 +26,9 @@ from torchreg.native.threads import kernel_threads
 VARIABLE = "TORCHREG_NATIVE"
 """Environment variable; ``0`` turns compiled kernels off for a whole process, and for those that it starts."""
 
+KERNEL_TYPES = {torch.float32: "f32", torch.float64: "f64"}
+"""The ends of the names of kernels that take either, by the type of the numbers."""
+
 _FOLDER = Path(__file__).parent
 _BY_CAPABILITY = {"AVX512": ("avx512", "avx2", "default"), "AVX2": ("avx2", "default")}
 _wanted: ContextVar[bool] = ContextVar("native_kernels", default=os.environ.get(VARIABLE, "1") != "0")

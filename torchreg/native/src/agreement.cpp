@@ -1,5 +1,5 @@
 // Poses weighed on matches: torchreg/verification/agreement.py.
-#include "common.hpp"
+#include "rigid.hpp"
 
 namespace torchreg {
 namespace {
@@ -27,9 +27,9 @@ KERNEL agreement(const double* source, const double* targets, const int64_t* las
                 const double *R = rotation + 9 * h, *t = translation + 3 * h;
                 const double *px = source + first, *py = px + count, *pz = py + count;
                 for (int64_t m = 0; m < n; ++m) {
-                    x[m] = R[0] * px[m] + R[1] * py[m] + R[2] * pz[m] + t[0];
-                    y[m] = R[3] * px[m] + R[4] * py[m] + R[5] * pz[m] + t[1];
-                    z[m] = R[6] * px[m] + R[7] * py[m] + R[8] * pz[m] + t[2];
+                    x[m] = turned(R, 0, px[m], py[m], pz[m]) + t[0];
+                    y[m] = turned(R, 1, px[m], py[m], pz[m]) + t[1];
+                    z[m] = turned(R, 2, px[m], py[m], pz[m]) + t[2];
                     near[m] = 0;
                 }
                 int32_t* of_pose = counts.data() + 2 * count * (h - begin) + first;

@@ -1,5 +1,7 @@
 // What all kernels share. Every kernel is a C function that takes pointers to contiguous tensors, numbers as int64_t or
-// double, and last the number of threads; it allocates its own working memory and returns an int64_t.
+// double, and last the number of threads; it allocates its own working memory and returns an int64_t. It is named for what
+// it writes, or for what it does as verb and noun, and beside it stands what it takes (shapes, units, dtypes) and which
+// function in torch it equals.
 //
 // Bits: the library is compiled without contraction to fused multiply-adds and without reordering, so that + - * and /
 // give what torch's elementwise operations give, in any lane and any thread. torch.sqrt does not everywhere: where torch
@@ -22,6 +24,17 @@
 #else
 #define KERNEL extern "C" __attribute__((visibility("default"))) int64_t
 #endif
+
+// A kernel for float and one for double, name_f32 and name_f64, from a template `name` over the type of its numbers, which
+// the list of parameters calls Real: KERNELS(name, (const Real* x, int64_t n, int64_t threads), (x, n, threads)).
+#define KERNEL_OF(type, suffix, name, parameters, arguments)                                                          \
+    namespace name##suffix##_types {                                                                                  \
+    using Real = type;                                                                                                \
+    KERNEL name##suffix parameters { return torchreg::name<Real> arguments; }                                         \
+    }
+#define KERNELS(name, parameters, arguments)                                                                          \
+    KERNEL_OF(float, _f32, name, parameters, arguments)                                                               \
+    KERNEL_OF(double, _f64, name, parameters, arguments)
 
 namespace torchreg {
 

@@ -85,15 +85,12 @@ void row_histogram(const float* table, const float* edges, const Slots& slots, i
 }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // simplified_histograms of descriptors/fpfh.py in float32: points and normals (P, 3), edges (5,) of f1, neighborhoods
 // (P, K) -> out (P, 33).
-KERNEL simplified_histograms_f32(const float* points, const float* normals, const float* edges, const int64_t* index,
-                                 int64_t index_stride, const uint8_t* valid, int64_t valid_stride, int64_t count,
-                                 int64_t width, float* out, int64_t threads) {
+KERNEL simplified_histograms(const float* points, const float* normals, const float* edges, const int64_t* index,
+                             int64_t index_stride, const uint8_t* valid, int64_t valid_stride, int64_t count,
+                             int64_t width, float* out, int64_t threads) {
     std::vector<float> table(PAIR_RECORD * count);
     for (int64_t row = 0; row < count; ++row)
         for (int64_t axis = 0; axis < 3; ++axis) {
@@ -107,3 +104,5 @@ KERNEL simplified_histograms_f32(const float* points, const float* normals, cons
     });
     return 0;
 }
+
+}  // namespace torchreg
