@@ -156,6 +156,6 @@ def moved_points(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tens
     """The samples of pairs (R,) under poses (R, 3, 3), (R, 3) float32: (3, R, L)."""
     if not native(scans.points, rotation, translation):
         return rotated(rotation, scans.points[:, pair]).add_(translation.t()[..., None])
-    moved = torch.empty(3, len(pair), scans.points.shape[2])
+    moved = scans.points.new_empty(3, len(pair), scans.points.shape[2])
     call("moved_points", scans.points, pair, rotation, translation, moved, *scans.points.shape[1:2], *moved.shape[1:])
     return moved

@@ -298,56 +298,56 @@ inline bool spans_plane(double xx, double yy, double zz, double xy, double xz, d
 
 // Graphs (count, count) of zeros and ones of correspondences (3, count) twice in meters, per_square being one
 // over the squared threshold: graph.first_order.
-KERNEL first_order_f32(const float* source, const float* target, int64_t count, double per_square, float* graph,
-                       int64_t threads) {
+KERNEL(first_order_f32, const float* source, const float* target, int64_t count, double per_square, float* graph,
+                        int64_t threads) {
     return first_order(source, target, count, per_square, graph, threads);
 }
-KERNEL first_order_f64(const double* source, const double* target, int64_t count, double per_square, float* graph,
-                       int64_t threads) {
+KERNEL(first_order_f64, const double* source, const double* target, int64_t count, double per_square, float* graph,
+                        int64_t threads) {
     return first_order(source, target, count, per_square, graph, threads);
 }
 
 // How many of correspondences (3, count) twice agree with each, itself counted: degree (count): nodes.degrees.
-KERNEL degrees_f32(const float* source, const float* target, int64_t count, double per_square, float* degree,
-                   int64_t threads) {
+KERNEL(degrees_f32, const float* source, const float* target, int64_t count, double per_square, float* degree,
+                    int64_t threads) {
     return degrees(source, target, count, per_square, degree, threads);
 }
-KERNEL degrees_f64(const double* source, const double* target, int64_t count, double per_square, double* degree,
-                   int64_t threads) {
+KERNEL(degrees_f64, const double* source, const double* target, int64_t count, double per_square, double* degree,
+                    int64_t threads) {
     return degrees(source, target, count, per_square, degree, threads);
 }
 
 // How many of others (3, others) twice agree with each of (3, count) twice: degree (count): nodes.degrees_among.
-KERNEL degrees_among_f32(const float* source, const float* target, int64_t count, const float* other_source,
-                         const float* other_target, int64_t others, double per_square, float* degree,
-                         int64_t threads) {
+KERNEL(degrees_among_f32, const float* source, const float* target, int64_t count, const float* other_source,
+                          const float* other_target, int64_t others, double per_square, float* degree,
+                          int64_t threads) {
     return degrees_among(source, target, count, other_source, other_target, others, per_square, degree, threads);
 }
-KERNEL degrees_among_f64(const double* source, const double* target, int64_t count, const double* other_source,
-                         const double* other_target, int64_t others, double per_square, double* degree,
-                         int64_t threads) {
+KERNEL(degrees_among_f64, const double* source, const double* target, int64_t count, const double* other_source,
+                          const double* other_target, int64_t others, double per_square, double* degree,
+                          int64_t threads) {
     return degrees_among(source, target, count, other_source, other_target, others, per_square, degree, threads);
 }
 
 // How alike the distances of both points of each correspondence (3, count) to anchors (3, of_source) and (3, of_target)
 // are, per_square being one over a bin's squared width: result (count): nodes._chance.
-KERNEL chance_f32(const float* source, const float* target, int64_t count, const float* source_anchors,
-                  int64_t of_source, const float* target_anchors, int64_t of_target, double per_square, int64_t bins,
-                  int64_t smoothed, double* result, int64_t threads) {
+KERNEL(chance_f32, const float* source, const float* target, int64_t count, const float* source_anchors,
+                   int64_t of_source, const float* target_anchors, int64_t of_target, double per_square, int64_t bins,
+                   int64_t smoothed, double* result, int64_t threads) {
     return chance(source, target, count, source_anchors, of_source, target_anchors, of_target, per_square, bins,
                   smoothed, result, threads);
 }
-KERNEL chance_f64(const double* source, const double* target, int64_t count, const double* source_anchors,
-                  int64_t of_source, const double* target_anchors, int64_t of_target, double per_square, int64_t bins,
-                  int64_t smoothed, double* result, int64_t threads) {
+KERNEL(chance_f64, const double* source, const double* target, int64_t count, const double* source_anchors,
+                   int64_t of_source, const double* target_anchors, int64_t of_target, double per_square, int64_t bins,
+                   int64_t smoothed, double* result, int64_t threads) {
     return chance(source, target, count, source_anchors, of_source, target_anchors, of_target, per_square, bins,
                   smoothed, result, threads);
 }
 
 // The sets of all nodes of a symmetric graph (count, count) of zeros and ones, the diagonal zero: sets.consensus_sets.
 // `wide` is below count, `narrow` at most wide + 1; members (count, narrow) and weights (count, narrow).
-KERNEL consensus_sets(const float* graph, int64_t count, int64_t wide, int64_t narrow, int64_t* members,
-                      double* weights, int64_t threads) {
+KERNEL(consensus_sets, const float* graph, int64_t count, int64_t wide, int64_t narrow, int64_t* members,
+                       double* weights, int64_t threads) {
     Bits bits(count, count);
     parallel(threads, count, 131072 / std::max<int64_t>(1, count) + 1, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t i = begin; i < end; ++i) {
@@ -372,9 +372,9 @@ KERNEL consensus_sets(const float* graph, int64_t count, int64_t wide, int64_t n
 // Weighted least squares of sets (sets, size) of members and weights of the points (3, count) twice, sums in the order
 // of the members: rotations (3, 3, sets), translations (3, sets), and whether both sides spread across a line, by the
 // square of the least sine: sets.fit_sets.
-KERNEL fit_sets(const double* source, const double* target, int64_t count, const int64_t* members,
-                const double* weights, int64_t sets, int64_t size, double least, double* rotation, double* translation,
-                bool* broad, int64_t threads) {
+KERNEL(fit_sets, const double* source, const double* target, int64_t count, const int64_t* members,
+                 const double* weights, int64_t sets, int64_t size, double least, double* rotation, double* translation,
+                 bool* broad, int64_t threads) {
     parallel(threads, sets, 4096 / std::max<int64_t>(1, size) + 1, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<double> memory(7 * size);
         double* share = memory.data() + 6 * size;

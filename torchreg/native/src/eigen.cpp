@@ -32,9 +32,9 @@ int64_t symmetric_eigen(const T* matrix, int64_t count, T* values, T* vectors, i
 }  // namespace torchreg
 
 // symmetric_eigen of geometry/eigen.py: matrices (N, 3, 3) -> values (N, 3), vectors (N, 3, 3).
-KERNEL symmetric_eigen_f64(const double* matrix, int64_t count, double* values, double* vectors, int64_t threads) {
+KERNEL(symmetric_eigen_f64, const double* matrix, int64_t count, double* values, double* vectors, int64_t threads) {
     return torchreg::symmetric_eigen(matrix, count, values, vectors, threads);
 }
-KERNEL symmetric_eigen_f32(const float* matrix, int64_t count, float* values, float* vectors, int64_t threads) {
+KERNEL(symmetric_eigen_f32, const float* matrix, int64_t count, float* values, float* vectors, int64_t threads) {
     return torchreg::symmetric_eigen(matrix, count, values, vectors, threads);
 }

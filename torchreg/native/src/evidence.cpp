@@ -23,8 +23,8 @@ inline void gather_close(const float* square, float limit, int64_t length, std::
 
 // Equals `moved_points` of scans.py: points (3, G, L) of the pairs (R) int64, turned by rotation (R, 3, 3), shifted by
 // translation (R, 3), all float32. Writes moved (3, R, L).
-KERNEL moved_points(const float* points, const int64_t* pair, const float* rotation, const float* translation,
-                    float* moved, int64_t pairs, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(moved_points, const float* points, const int64_t* pair, const float* rotation, const float* translation,
+                     float* moved, int64_t pairs, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, 4 * FEW, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t r = begin; r < end; ++r) {
             const float *x = points + pair[r] * length, *y = x + pairs * length, *z = y + pairs * length;
@@ -42,9 +42,9 @@ KERNEL moved_points(const float* points, const int64_t* pair, const float* rotat
 //
 // offsets (G + 1) int64, where the points of each scan begin; low (3, G), width (G), last (3, G) float32, stride (3, G)
 // and first (G) int64. Writes true into reached (V) bool, which is false before.
-KERNEL mark_reached(const float* points, const int64_t* offsets, const float* low, const float* width,
-                    const float* last, const int64_t* stride, const int64_t* first, uint8_t* reached, int64_t count,
-                    int64_t scans, int64_t cells, int64_t) {
+KERNEL(mark_reached, const float* points, const int64_t* offsets, const float* low, const float* width,
+                     const float* last, const int64_t* stride, const int64_t* first, uint8_t* reached, int64_t count,
+                     int64_t scans, int64_t cells, int64_t) {
     std::vector<uint8_t> done(cells);
     for (int64_t g = 0; g < scans; ++g) {
         for (int64_t i = offsets[g]; i < offsets[g + 1]; ++i) {
@@ -65,9 +65,9 @@ KERNEL mark_reached(const float* points, const int64_t* offsets, const float* lo
 
 // Equals `near_counts` of partners.py: how many of the points moved (3, R, L) float32, where valid (R, L) bool, lie in
 // reached cells of their scans, pair (R) int64. Cells as above. Writes counts (R) int64.
-KERNEL near_counts(const float* moved, const int64_t* pair, const uint8_t* valid, const float* low, const float* width,
-                   const float* last, const int64_t* stride, const int64_t* first, const uint8_t* reached,
-                   int64_t* counts, int64_t scans, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(near_counts, const float* moved, const int64_t* pair, const uint8_t* valid, const float* low, const float* width,
+                    const float* last, const int64_t* stride, const int64_t* first, const uint8_t* reached,
+                    int64_t* counts, int64_t scans, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> cell(length);
         for (int64_t r = begin; r < end; ++r) {
@@ -95,10 +95,10 @@ KERNEL near_counts(const float* moved, const int64_t* pair, const uint8_t* valid
 //
 // which (R) int64, the image of each row, -1 for none; slack (R) float32, meters; viewpoint (3, I), ranges and near (I)
 // float32, seen bool, first and side (I) int64 of the images. Writes counts (2, R) int64: before a surface, and on one.
-KERNEL visible_counts(const float* moved, const uint8_t* valid, const int64_t* which, const float* slack,
-                      const float* viewpoint, const float* ranges, const uint8_t* seen, const int64_t* first,
-                      const int64_t* side, const float* near, int64_t* counts, int64_t images, int64_t rows,
-                      int64_t length, int64_t threads) {
+KERNEL(visible_counts, const float* moved, const uint8_t* valid, const int64_t* which, const float* slack,
+                       const float* viewpoint, const float* ranges, const uint8_t* seen, const int64_t* first,
+                       const int64_t* side, const float* near, int64_t* counts, int64_t images, int64_t rows,
+                       int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<float> squares(length);
         std::vector<int32_t> cells(length);
@@ -150,10 +150,10 @@ KERNEL visible_counts(const float* moved, const uint8_t* valid, const int64_t* w
 // (3, P) likewise; faced (G, L) and (P) bool. Normals or colors are null on both sides where they are not compared.
 // Writes counts (R) int64 and sums (11, R) float64: closeness, cosines, and of every channel of color the products of
 // both sides, the squares of the one and of the other, each about its mean.
-KERNEL partner_sums(const int64_t* row, const float* square, const float* limit, const int64_t* pair,
-                    const float* rotation, const float* normals, const float* other_normals, const uint8_t* faced,
-                    const uint8_t* other_faced, const double* colors, const double* other_colors, int64_t* counts,
-                    double* sums, int64_t pairs, int64_t points, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(partner_sums, const int64_t* row, const float* square, const float* limit, const int64_t* pair,
+                     const float* rotation, const float* normals, const float* other_normals, const uint8_t* faced,
+                     const uint8_t* other_faced, const double* colors, const double* other_colors, int64_t* counts,
+                     double* sums, int64_t pairs, int64_t points, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> close;
         close.reserve(length);
@@ -248,13 +248,13 @@ static int64_t planes(const T* points, const float* normals, const uint8_t* vali
     return 0;
 }
 
-KERNEL moment_sums_float(const float* points, const float* normals, const uint8_t* valid, double* products,
-                               double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(moment_sums_float, const float* points, const float* normals, const uint8_t* valid, double* products,
+                                double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
     return planes(points, normals, valid, products, centers, squares, rows, length, threads);
 }
 
-KERNEL moment_sums_double(const double* points, const float* normals, const uint8_t* valid, double* products,
-                                double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(moment_sums_double, const double* points, const float* normals, const uint8_t* valid, double* products,
+                                 double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
     return planes(points, normals, valid, products, centers, squares, rows, length, threads);
 }
 
@@ -263,9 +263,9 @@ KERNEL moment_sums_double(const double* points, const float* normals, const uint
 // own (G, S, D) float32, features of every third point of the samples; other (P, D), of all points of the other scans;
 // row (R, L), square (R, L), limit (R), pair (R) as in `partner_sums`. Writes counts (R) int64 and sums (4, R, D)
 // float64: squared differences, squares of both, own and other, over the partners of every third point.
-KERNEL feature_sums(const float* own, const float* other, const int64_t* row, const float* square, const float* limit,
-                    const int64_t* pair, int64_t* counts, double* sums, int64_t thin, int64_t stride, int64_t width,
-                    int64_t rows, int64_t length, int64_t threads) {
+KERNEL(feature_sums, const float* own, const float* other, const int64_t* row, const float* square, const float* limit,
+                     const int64_t* pair, int64_t* counts, double* sums, int64_t thin, int64_t stride, int64_t width,
+                     int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         Lanes lanes(4 * width);
         for (int64_t r = begin; r < end; ++r) {

@@ -464,28 +464,28 @@ int64_t shadows(const Real* rows, const double* center, const double* basis, int
 
 }  // namespace
 
-KERNEL feature_shadows_float(const float* rows, const double* center, const double* basis, int64_t count, int64_t width,
-                             int64_t some, double* shadow, double* norm, int64_t threads) {
+KERNEL(feature_shadows_float, const float* rows, const double* center, const double* basis, int64_t count, int64_t width,
+                              int64_t some, double* shadow, double* norm, int64_t threads) {
     return shadows(rows, center, basis, count, width, some, shadow, norm, threads);
 }
 
-KERNEL feature_shadows_double(const double* rows, const double* center, const double* basis, int64_t count,
-                              int64_t width, int64_t some, double* shadow, double* norm, int64_t threads) {
+KERNEL(feature_shadows_double, const double* rows, const double* center, const double* basis, int64_t count,
+                               int64_t width, int64_t some, double* shadow, double* norm, int64_t threads) {
     return shadows(rows, center, basis, count, width, some, shadow, norm, threads);
 }
 
-KERNEL feature_nearest_float(const float* query, const float* query_shadow, const double* query_norm, int64_t queries,
-                             const float* table, const float* table_shadow, const double* table_norm, int64_t rows,
-                             int64_t width, int64_t shadow_width, const double* bound, int64_t count, int64_t most,
-                             double scale, double unit, double tiny, int64_t* row, double* distance, int64_t threads) {
+KERNEL(feature_nearest_float, const float* query, const float* query_shadow, const double* query_norm, int64_t queries,
+                              const float* table, const float* table_shadow, const double* table_norm, int64_t rows,
+                              int64_t width, int64_t shadow_width, const double* bound, int64_t count, int64_t most,
+                              double scale, double unit, double tiny, int64_t* row, double* distance, int64_t threads) {
     return nearest(query, query_shadow, query_norm, queries, table, table_shadow, table_norm, rows, width, shadow_width,
                    bound, count, most, scale, unit, tiny, row, distance, threads);
 }
 
-KERNEL feature_nearest_double(const double* query, const float* query_shadow, const double* query_norm, int64_t queries,
-                              const double* table, const float* table_shadow, const double* table_norm, int64_t rows,
-                              int64_t width, int64_t shadow_width, const double* bound, int64_t count, int64_t most,
-                              double scale, double unit, double tiny, int64_t* row, double* distance, int64_t threads) {
+KERNEL(feature_nearest_double, const double* query, const float* query_shadow, const double* query_norm, int64_t queries,
+                               const double* table, const float* table_shadow, const double* table_norm, int64_t rows,
+                               int64_t width, int64_t shadow_width, const double* bound, int64_t count, int64_t most,
+                               double scale, double unit, double tiny, int64_t* row, double* distance, int64_t threads) {
     return nearest(query, query_shadow, query_norm, queries, table, table_shadow, table_norm, rows, width, shadow_width,
                    bound, count, most, scale, unit, tiny, row, distance, threads);
 }

@@ -94,13 +94,13 @@ using namespace torchreg;
 
 // _oriented of preprocess/normals.py: points (P, 3), towards (P, 3) float64 from every point to where its normal is
 // turned, neighborhoods (P, K) -> out (P, 3).
-KERNEL normals_f32(const float* points, const double* towards, const int64_t* index, int64_t index_stride,
-                   const uint8_t* valid, int64_t valid_stride, int64_t count, int64_t width, float* out,
-                   int64_t threads) {
-    return normals(points, towards, Slots{index, index_stride, valid, valid_stride, width}, count, out, threads);
+KERNEL(normals_f32, const float* points, const double* towards, const int64_t* index, int64_t index_stride,
+                    const uint8_t* valid, int64_t valid_stride, int64_t count, int64_t width, float* out,
+                    int64_t threads) {
+    return normals(points, towards, Slots{index, index_stride, valid, valid_stride, width, count}, count, out, threads);
 }
-KERNEL normals_f64(const double* points, const double* towards, const int64_t* index, int64_t index_stride,
-                   const uint8_t* valid, int64_t valid_stride, int64_t count, int64_t width, double* out,
-                   int64_t threads) {
-    return normals(points, towards, Slots{index, index_stride, valid, valid_stride, width}, count, out, threads);
+KERNEL(normals_f64, const double* points, const double* towards, const int64_t* index, int64_t index_stride,
+                    const uint8_t* valid, int64_t valid_stride, int64_t count, int64_t width, double* out,
+                    int64_t threads) {
+    return normals(points, towards, Slots{index, index_stride, valid, valid_stride, width, count}, count, out, threads);
 }

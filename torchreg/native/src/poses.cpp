@@ -137,7 +137,7 @@ int64_t spread_out(const Real* vectors, const int64_t* pair, const Real* limits,
 }  // namespace
 
 // Rotations (3, 3, count) from covariances (3, 3, count), float64: best_rotation.best_rotation.
-KERNEL best_rotations(const double* covariance, int64_t count, double* rotation, int64_t threads) {
+KERNEL(best_rotations, const double* covariance, int64_t count, double* rotation, int64_t threads) {
     parallel(threads, count, 64, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t h = begin; h < end; ++h) {
             double C[9], R[9];
@@ -151,9 +151,9 @@ KERNEL best_rotations(const double* covariance, int64_t count, double* rotation,
 
 // Inliers (count, width), support (count) and error (count, square meters) of the poses (3, 3, count), (3, count) of
 // the pairs pair (count), over the matches of each; limits (count) are squared thresholds: scoring.score.
-KERNEL score_poses(const double* rotation, const double* translation, const int64_t* pair, const double* limits,
-                   int64_t count, const double* source, const double* target, const bool* valid, int64_t pairs,
-                   int64_t width, bool* inliers, int64_t* support, double* error, int64_t threads) {
+KERNEL(score_poses, const double* rotation, const double* translation, const int64_t* pair, const double* limits,
+                    int64_t count, const double* source, const double* target, const bool* valid, int64_t pairs,
+                    int64_t width, bool* inliers, int64_t* support, double* error, int64_t threads) {
     const Matches all{source, target, valid, pairs, width};
     parallel(threads, count, 65536 / std::max<int64_t>(1, width) + 1, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<double> square(width);
@@ -170,10 +170,10 @@ KERNEL score_poses(const double* rotation, const double* translation, const int6
 
 // Refit poses to their inliers in place, at most `rounds` times each, while their quality grows or the error falls at
 // equal quality; quality is the support less `share` times error / limit: local_optimization.optimize.
-KERNEL optimize_poses(double* rotation, double* translation, const int64_t* pair, const double* limits, int64_t count,
-                      const double* source, const double* target, const bool* valid, int64_t pairs, int64_t width,
-                      int64_t rounds, double share, bool* inliers, int64_t* support, double* error, double* quality,
-                      int64_t threads) {
+KERNEL(optimize_poses, double* rotation, double* translation, const int64_t* pair, const double* limits, int64_t count,
+                       const double* source, const double* target, const bool* valid, int64_t pairs, int64_t width,
+                       int64_t rounds, double share, bool* inliers, int64_t* support, double* error, double* quality,
+                       int64_t threads) {
     const Matches all{source, target, valid, pairs, width};
     parallel(threads, count, 8192 / std::max<int64_t>(1, width) + 1, [&](int64_t begin, int64_t end, int64_t) {
         Refit refit(width);
@@ -200,11 +200,11 @@ KERNEL optimize_poses(double* rotation, double* translation, const int64_t* pair
 
 // Places of vectors (12, count), pair by pair, that lie apart from those chosen before, at most `most` of a pair; limits
 // (pairs) are squared radii. Returns how many: poses.spread_out.
-KERNEL spread_out_f32(const float* vectors, const int64_t* pair, const float* limits, int64_t count, int64_t most,
-                      int64_t* chosen, int64_t) {
+KERNEL(spread_out_f32, const float* vectors, const int64_t* pair, const float* limits, int64_t count, int64_t most,
+                       int64_t* chosen, int64_t) {
     return spread_out(vectors, pair, limits, count, most, chosen);
 }
-KERNEL spread_out_f64(const double* vectors, const int64_t* pair, const double* limits, int64_t count, int64_t most,
-                      int64_t* chosen, int64_t) {
+KERNEL(spread_out_f64, const double* vectors, const int64_t* pair, const double* limits, int64_t count, int64_t most,
+                       int64_t* chosen, int64_t) {
     return spread_out(vectors, pair, limits, count, most, chosen);
 }

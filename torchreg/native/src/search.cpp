@@ -150,7 +150,8 @@ void search_cloud(const T* points, int64_t n, int64_t begin, T limit, int64_t sl
                 const T side = box.high[axis] - box.low[axis];
                 diagonal += side * side;
             }
-            T reach = std::min(limit, std::max(diagonal * T(0.02) * T(slots), limit * T(1e-12)));
+            const T least = std::max(limit * T(1e-12), std::numeric_limits<T>::min());  // what grows, not zero
+            T reach = std::min(limit, std::max(diagonal * T(0.02) * T(slots), least));
             while (left > 0) {
                 around.gather(tree, box, reach);
                 int64_t most = 0, open = 0;
@@ -221,8 +222,8 @@ void nearest(const T* planes, const int32_t* order, const T* boxes, int64_t n, c
 
 // `search_cells`: points (P, 3), offsets (B + 1), limits (B) squared radii, slots K; writes index, valid, squares (P, K).
 #define SEARCH(name, T)                                                                                               \
-    KERNEL name(const T* points, const int64_t* offsets, const T* limits, int64_t clouds, int64_t slots,              \
-                int64_t* index, bool* valid, T* squares, int64_t threads) {                                           \
+    KERNEL(name, const T* points, const int64_t* offsets, const T* limits, int64_t clouds, int64_t slots,             \
+                 int64_t* index, bool* valid, T* squares, int64_t threads) {                                          \
         torchreg::search(points, offsets, limits, clouds, slots, index, valid, squares, threads);                     \
         return 0;                                                                                                     \
     }
@@ -230,11 +231,11 @@ SEARCH(search_float32, float)
 SEARCH(search_float64, double)
 
 // The number of boxes of a tree over n points.
-KERNEL tree_boxes(int64_t n, int64_t) { return (int64_t(2) << torchreg::tree_depth(n)) - 1; }
+KERNEL(tree_boxes, int64_t n, int64_t) { return (int64_t(2) << torchreg::tree_depth(n)) - 1; }
 
 // Build a tree over points (n, 3): writes planes (3, n), order (n) int32, boxes (tree_boxes(n), 6).
 #define BUILD(name, T)                                                                                                \
-    KERNEL name(const T* points, int64_t n, T* planes, int32_t* order, T* boxes, int64_t threads) {                   \
+    KERNEL(name, const T* points, int64_t n, T* planes, int32_t* order, T* boxes, int64_t threads) {                  \
         torchreg::build_tree(points, n, planes, order, boxes, threads);                                               \
         return 0;                                                                                                     \
     }
@@ -244,8 +245,8 @@ BUILD(tree_build_float64, double)
 // The `count` (at most 64) nearest of every query (Q, 3) with d^2 < limit: rows (Q, count), -1 where there are none, and
 // squared distances, infinite there.
 #define NEAREST(name, T)                                                                                              \
-    KERNEL name(const T* planes, const int32_t* order, const T* boxes, int64_t n, const T* query, int64_t queries,    \
-                int64_t count, double limit, int64_t* rows, T* squares, int64_t threads) {                            \
+    KERNEL(name, const T* planes, const int32_t* order, const T* boxes, int64_t n, const T* query, int64_t queries,   \
+                 int64_t count, double limit, int64_t* rows, T* squares, int64_t threads) {                           \
         torchreg::nearest(planes, order, boxes, n, query, queries, count, limit, rows, squares, threads);             \
         return 0;                                                                                                     \
     }
