@@ -117,7 +117,7 @@ def _checked(path: Path, sources: str) -> ctypes.CDLL | None:
 
 @functools.cache
 def _function(library: ctypes.CDLL, name: str) -> Any:  # noqa: ANN401
-    return _KERNEL(ctypes.c_void_p.in_dll(library, name).value)
+    return ctypes.cast(ctypes.c_void_p.in_dll(library, name), _KERNEL)
 
 
 def _argument(value: Tensor | int | float | None) -> Any:  # noqa: ANN401
@@ -145,7 +145,7 @@ def _plain(tensor: Tensor) -> bool:
 def _followed() -> bool:
     return (
         torch.compiler.is_compiling()
-        or torch.jit.is_tracing()
+        or torch._C._get_tracing_state() is not None
         or torch._C._len_torch_dispatch_stack() > 0
         or torch.autograd.forward_ad._current_level >= 0
     )
