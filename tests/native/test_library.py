@@ -1,5 +1,6 @@
 """The library of compiled kernels: turned off and on, refused where torch has to work, noticed where it is stale."""
 
+import shutil
 import subprocess
 import sys
 import warnings
@@ -117,6 +118,16 @@ def test_the_fingerprint_follows_every_source(tmp_path) -> None:
     second = fingerprint(tmp_path)
     (tmp_path / "a.cpp").write_text("int c;\n")
     assert len({first, second, fingerprint(tmp_path)}) == 3
+
+
+@built
+@pytest.mark.skipif(shutil.which("objdump") is None, reason="no objdump to look into libraries with")
+@pytest.mark.parametrize(("level", "register"), [("default", "%ymm"), ("avx2", "%zmm")])
+def test_a_library_has_no_instructions_of_wider_processors(level, register) -> None:
+    paths = list((library._FOLDER / "lib").glob(f"kernels_{level}.*"))
+    for path in paths:
+        code = subprocess.run(["objdump", "-d", path], capture_output=True, text=True, check=True).stdout
+        assert register not in code
 
 
 @built
