@@ -158,6 +158,6 @@ def moved_points(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tens
 
 def _moved_compiled(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
     """As ``moved_points``."""
-    moved = torch.empty(3, len(pair), scans.points.shape[2])
+    moved = scans.points.new_empty(3, len(pair), scans.points.shape[2])
     call("moved_points", scans.points, pair, rotation, translation, moved, *scans.points.shape[1:2], *moved.shape[1:])
     return moved

@@ -14,9 +14,9 @@ constexpr int64_t BLOCK = 8;    // poses
 // source (3, M), targets (3, K, M) float64, meters; last (C) and size (C) int64, of C cells; rotation (H, 3, 3) and
 // translation (H, 3) float64. Writes support (H) int64 and agreeing (2, H) float64: the sums over cells of the shares
 // of their matches that agree, first of the true pairing, then of all others together.
-KERNEL agreement(const double* source, const double* targets, const int64_t* last, const int64_t* size,
-                 const double* rotation, const double* translation, int64_t* support, double* agreeing, int64_t count,
-                 int64_t pairings, int64_t cells, int64_t poses, double square_limit, int64_t threads) {
+KERNEL(agreement, const double* source, const double* targets, const int64_t* last, const int64_t* size,
+                  const double* rotation, const double* translation, int64_t* support, double* agreeing, int64_t count,
+                  int64_t pairings, int64_t cells, int64_t poses, double square_limit, int64_t threads) {
     parallel(threads, poses, BLOCK, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> counts(2 * count * (end - begin));  // true pairings, then others, pose by pose
         double x[TILE], y[TILE], z[TILE];

@@ -132,7 +132,7 @@ class Seeds {  // the sets of one seed after another, in memory of one thread
 // Equals `consensus_sets` of sets.py, for all nodes of a symmetric graph (N, N) of zeros and ones, the diagonal zero.
 //
 // `wide` is below N, `narrow` at most wide + 1. Writes members (N, narrow) int64 and weights (N, narrow) float64.
-KERNEL consensus_sets(const float* graph, int64_t count, int64_t wide, int64_t narrow, int64_t* members,
+KERNEL(consensus_sets, const float* graph, int64_t count, int64_t wide, int64_t narrow, int64_t* members,
                       double* weights, int64_t threads) {
     Bits bits(count, count);
     parallel(threads, count, 131072 / std::max<int64_t>(1, count) + 1, [&](int64_t begin, int64_t end, int64_t) {

@@ -26,10 +26,10 @@ float share_of(int64_t count) { return 1.0f / static_cast<float>(std::max<int64_
 
 // contrast of descriptors/contrast.py in float32: colors (P, 3), neighborhoods (P, K) with squared distances, inner
 // (P,) the square of the near radius, `level` added to means that divide, `constant` the last entry -> out (P, 10).
-KERNEL contrast(const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
+KERNEL(contrast, const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
                 int64_t valid_stride, const float* square, int64_t square_stride, const float* inner, int64_t count,
                 int64_t width, double level, double constant, float* out, int64_t threads) {
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     const std::vector<float> table = records(colors, count);
     const float least = static_cast<float>(level);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {

@@ -20,7 +20,7 @@ inline void gather_close(const float* square, float limit, int64_t length, std::
 
 // Equals `moved_points` of scans.py: points (3, G, L) of the pairs (R) int64, turned by rotation (R, 3, 3), shifted by
 // translation (R, 3), all float32. Writes moved (3, R, L).
-KERNEL moved_points(const float* points, const int64_t* pair, const float* rotation, const float* translation,
+KERNEL(moved_points, const float* points, const int64_t* pair, const float* rotation, const float* translation,
                     float* moved, int64_t pairs, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, 4 * FEW, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t r = begin; r < end; ++r) {
@@ -39,7 +39,7 @@ KERNEL moved_points(const float* points, const int64_t* pair, const float* rotat
 //
 // which (R) int64, the image of each row, -1 for none; slack (R) float32, meters; viewpoint (3, I), ranges and near (I)
 // float32, seen bool, first and side (I) int64 of the images. Writes counts (2, R) int64: before a surface, and on one.
-KERNEL visible_counts(const float* moved, const uint8_t* valid, const int64_t* which, const float* slack,
+KERNEL(visible_counts, const float* moved, const uint8_t* valid, const int64_t* which, const float* slack,
                       const float* viewpoint, const float* ranges, const uint8_t* seen, const int64_t* first,
                       const int64_t* side, const float* near, int64_t* counts, int64_t images, int64_t rows,
                       int64_t length, int64_t threads) {
@@ -94,7 +94,7 @@ KERNEL visible_counts(const float* moved, const uint8_t* valid, const int64_t* w
 // (3, P) likewise; faced (G, L) and (P) bool. Normals or colors are null on both sides where they are not compared.
 // Writes counts (R) int64 and sums (11, R) float64: closeness, cosines, and of every channel of color the products of
 // both sides, the squares of the one and of the other, each about its mean.
-KERNEL partner_sums(const int64_t* row, const float* square, const float* limit, const int64_t* pair,
+KERNEL(partner_sums, const int64_t* row, const float* square, const float* limit, const int64_t* pair,
                     const float* rotation, const float* normals, const float* other_normals, const uint8_t* faced,
                     const uint8_t* other_faced, const double* colors, const double* other_colors, int64_t* counts,
                     double* sums, int64_t pairs, int64_t points, int64_t rows, int64_t length, int64_t threads) {
@@ -202,7 +202,7 @@ KERNELS(moment_sums,
 // own (G, S, D) float32, features of every third point of the samples; other (P, D), of all points of the other scans;
 // row (R, L), square (R, L), limit (R), pair (R) as in `partner_sums`. Writes counts (R) int64 and sums (4, R, D)
 // float64: squared differences, squares of both, own and other, over the partners of every third point.
-KERNEL feature_sums(const float* own, const float* other, const int64_t* row, const float* square, const float* limit,
+KERNEL(feature_sums, const float* own, const float* other, const int64_t* row, const float* square, const float* limit,
                     const int64_t* pair, int64_t* counts, double* sums, int64_t thin, int64_t stride, int64_t width,
                     int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {

@@ -17,7 +17,7 @@ inline bool spans_plane(double xx, double yy, double zz, double xy, double xz, d
 //
 // source and target (3, N) float64, meters; members (S, K) int64 and weights (S, K) float64; `least`, the square of the
 // least sine. Writes rotation (3, 3, S), translation (3, S), and broad (S) bool: both sides spread across a line.
-KERNEL fit_sets(const double* source, const double* target, int64_t count, const int64_t* members,
+KERNEL(fit_sets, const double* source, const double* target, int64_t count, const int64_t* members,
                 const double* weights, int64_t sets, int64_t size, double least, double* rotation, double* translation,
                 bool* broad, int64_t threads) {
     parallel(threads, sets, 4096 / std::max<int64_t>(1, size) + 1, [&](int64_t begin, int64_t end, int64_t) {

@@ -88,7 +88,7 @@ void row_histogram(const float* table, const float* edges, const Slots& slots, i
 
 // simplified_histograms of descriptors/fpfh.py in float32: points and normals (P, 3), edges (5,) of f1, neighborhoods
 // (P, K) -> out (P, 33).
-KERNEL simplified_histograms(const float* points, const float* normals, const float* edges, const int64_t* index,
+KERNEL(simplified_histograms, const float* points, const float* normals, const float* edges, const int64_t* index,
                              int64_t index_stride, const uint8_t* valid, int64_t valid_stride, int64_t count,
                              int64_t width, float* out, int64_t threads) {
     std::vector<float> table(PAIR_RECORD * count);
@@ -97,7 +97,7 @@ KERNEL simplified_histograms(const float* points, const float* normals, const fl
             table[PAIR_RECORD * row + axis] = points[3 * row + axis];
             table[PAIR_RECORD * row + 3 + axis] = normals[3 * row + axis];
         }
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t row = begin; row < end; ++row)
             row_histogram(table.data(), edges, slots, row, out + ANGLES * BINS * row);

@@ -50,7 +50,7 @@ void add_all(Weighted& near, int64_t pitch, float* sums) {
 
 // add_weighted_neighbors of descriptors/histograms.py in float32: histograms (P, D) of D / bins blocks, neighborhoods
 // (P, K) with squared distances; `least` stands in for smaller ones -> out (P, D).
-KERNEL add_weighted_neighbors(const float* histograms, const int64_t* index, int64_t index_stride,
+KERNEL(add_weighted_neighbors, const float* histograms, const int64_t* index, int64_t index_stride,
                               const uint8_t* valid, int64_t valid_stride, const float* square, int64_t square_stride,
                               int64_t count, int64_t width, int64_t columns, int64_t bins, int64_t keep_own,
                               double least, float* out, int64_t threads) {
@@ -58,7 +58,7 @@ KERNEL add_weighted_neighbors(const float* histograms, const int64_t* index, int
     std::vector<float> table(pitch * count);
     for (int64_t row = 0; row < count; ++row)
         std::memcpy(&table[pitch * row], histograms + columns * row, columns * sizeof(float));
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     const float smallest = static_cast<float>(least);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<float> sums(pitch);

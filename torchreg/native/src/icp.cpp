@@ -195,7 +195,7 @@ inline void iterate(Pair& pair, int64_t most, double least_fitness, double least
 // planes, order and boxes, and numbers of points; values (6, N): targets' points and normals, first (B) their first rows;
 // center, limits, most updates, least changes (B). Writes rotation (B, 3, 3), translation (B, 3) from those it starts at,
 // fitness, rmse, updates, outcome (B).
-KERNEL icp_point_to_plane(const double* source, int64_t n, const int64_t* first_block, const int64_t* lengths,
+KERNEL(icp_point_to_plane, const double* source, int64_t n, const int64_t* first_block, const int64_t* lengths,
                           int64_t pairs, const int64_t* trees, const double* values, int64_t total,
                           const int64_t* first, const double* center, const double* limits, const int64_t* most,
                           const double* least_fitness, const double* least_rmse, double* rotation, double* translation,
@@ -220,13 +220,13 @@ KERNEL icp_point_to_plane(const double* source, int64_t n, const int64_t* first_
 }
 
 // The numbers of float64 that the state of a block's searches takes.
-KERNEL search_state_size(int64_t) { return sizeof(Known) / sizeof(double); }
+KERNEL(search_state_size, int64_t) { return sizeof(Known) / sizeof(double); }
 
 // Equals `Correspondence.move`: the correspondences of n blocks under the poses of B pairs. source (3, n, 256), pair (n)
 // and rows (n) of every block; trees, values (A, N), first and limits as in `icp_point_to_plane`; rotation (B, 3, 3),
 // translation (B, 3); known (n, search_state_size) is the state of the searches, which is `fresh` at first. Writes moved
 // (3, n, 256), inside and square (n, 256), and partner (A, n, 256) where a row has one.
-KERNEL move_blocks(const double* source, int64_t n, const int64_t* pair, const int64_t* rows, const int64_t* trees,
+KERNEL(move_blocks, const double* source, int64_t n, const int64_t* pair, const int64_t* rows, const int64_t* trees,
                 const double* values, int64_t columns, int64_t total, const int64_t* first, const double* limits,
                 const double* rotation, const double* translation, double* known, int64_t fresh, double* moved,
                 double* partner, double* square, bool* inside, int64_t threads) {

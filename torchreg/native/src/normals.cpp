@@ -96,6 +96,6 @@ int64_t normals(const T* points, const double* towards, Slots slots, int64_t cou
 KERNELS(normals,
         (const Real* points, const double* towards, const int64_t* index, int64_t index_stride, const uint8_t* valid,
          int64_t valid_stride, int64_t count, int64_t width, Real* out, int64_t threads),
-        (points, towards, Slots{index, index_stride, valid, valid_stride, width}, count, out, threads))
+        (points, towards, Slots{index, index_stride, valid, valid_stride, width, count}, count, out, threads))
 
 }  // namespace torchreg

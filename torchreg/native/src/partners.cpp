@@ -67,9 +67,9 @@ inline void compare(const Entry* entry, const Entry* end, float x, float y, floa
 // points (3, P) float32, meters, scan by scan; offsets (G + 1) int64. low (G, 3), width (G) and last (G, 3) float32 and
 // first (G) int64 are the grids. Writes entries (P, 4) int32, x, y, z and row of every point, cell by cell; starts
 // (V + 1) int32, where the entries of each of all V cells begin; reached (V) bool. Both have to be zero before.
-KERNEL sort_into_cells(const float* points, const int64_t* offsets, const float* low, const float* width,
-                       const float* last, const int64_t* first, int32_t* entries, int32_t* starts, uint8_t* reached,
-                       int64_t count, int64_t scans, int64_t cells, int64_t) {
+KERNEL(sort_into_cells, const float* points, const int64_t* offsets, const float* low, const float* width,
+                        const float* last, const int64_t* first, int32_t* entries, int32_t* starts, uint8_t* reached,
+                        int64_t count, int64_t scans, int64_t cells, int64_t) {
     std::vector<int64_t> own(count);
     for (int64_t g = 0; g < scans; ++g) {
         const Grid grid(low, width, last, first, g);
@@ -94,10 +94,10 @@ KERNEL sort_into_cells(const float* points, const int64_t* offsets, const float*
 //
 // moved (3, R, L) float32, meters; pair (R) int64; valid (R, L) bool; limit (R) float32, squared meters; the grid as
 // above. Writes row (R, L) int64, 0 where there is no point within the limit, and square (R, L), infinite there.
-KERNEL nearest_in_cells(const float* moved, const int64_t* pair, const uint8_t* valid, const float* limit,
-                        const float* low, const float* width, const float* last, const int64_t* first,
-                        const int32_t* entries, const int32_t* starts, const uint8_t* reached, int64_t* row,
-                        float* square, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(nearest_in_cells, const float* moved, const int64_t* pair, const uint8_t* valid, const float* limit,
+                         const float* low, const float* width, const float* last, const int64_t* first,
+                         const int32_t* entries, const int32_t* starts, const uint8_t* reached, int64_t* row,
+                         float* square, int64_t rows, int64_t length, int64_t threads) {
     const Entry* all = reinterpret_cast<const Entry*>(entries);
     const int64_t grain = std::max<int64_t>(1, 2048 / std::max<int64_t>(1, length));
     parallel(threads, rows, grain, [&](int64_t begin, int64_t end, int64_t) {
@@ -150,7 +150,7 @@ KERNEL nearest_in_cells(const float* moved, const int64_t* pair, const uint8_t* 
 //
 // offsets (G + 1) int64, where the points of each scan begin; low (3, G), width (G), last (3, G) float32, stride (3, G)
 // and first (G) int64. Writes true into reached (V) bool, which is false before.
-KERNEL mark_reached(const float* points, const int64_t* offsets, const float* low, const float* width,
+KERNEL(mark_reached, const float* points, const int64_t* offsets, const float* low, const float* width,
                     const float* last, const int64_t* stride, const int64_t* first, uint8_t* reached, int64_t count,
                     int64_t scans, int64_t cells, int64_t) {
     std::vector<uint8_t> done(cells);
@@ -171,7 +171,7 @@ KERNEL mark_reached(const float* points, const int64_t* offsets, const float* lo
 
 // Equals `near_counts` of partners.py: how many of the points moved (3, R, L) float32, where valid (R, L) bool, lie in
 // reached cells of their scans, pair (R) int64. Cells as above. Writes counts (R) int64.
-KERNEL near_counts(const float* moved, const int64_t* pair, const uint8_t* valid, const float* low, const float* width,
+KERNEL(near_counts, const float* moved, const int64_t* pair, const uint8_t* valid, const float* low, const float* width,
                    const float* last, const int64_t* stride, const int64_t* first, const uint8_t* reached,
                    int64_t* counts, int64_t scans, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {

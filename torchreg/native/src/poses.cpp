@@ -93,7 +93,7 @@ inline void read(const double* rotation, const double* translation, int64_t coun
 }  // namespace
 
 // Equals `best_rotation` of geometry/best_rotation.py: covariance (3, 3, H) float64. Writes rotation (3, 3, H).
-KERNEL best_rotations(const double* covariance, int64_t count, double* rotation, int64_t threads) {
+KERNEL(best_rotations, const double* covariance, int64_t count, double* rotation, int64_t threads) {
     parallel(threads, count, 64, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t h = begin; h < end; ++h) {
             double C[9], R[9];
@@ -110,7 +110,7 @@ KERNEL best_rotations(const double* covariance, int64_t count, double* rotation,
 // rotation (3, 3, H), translation (3, H) float64, of the pairs pair (H) int64; limits (H) float64, squared thresholds;
 // source and target (3, B, M) float64, meters, valid (B, M) bool. Writes inliers (H, M) bool, support (H) int64 and error
 // (H) float64, square meters.
-KERNEL score_poses(const double* rotation, const double* translation, const int64_t* pair, const double* limits,
+KERNEL(score_poses, const double* rotation, const double* translation, const int64_t* pair, const double* limits,
                    int64_t count, const double* source, const double* target, const bool* valid, int64_t pairs,
                    int64_t width, bool* inliers, int64_t* support, double* error, int64_t threads) {
     const Matches all{source, target, valid, pairs, width};
@@ -131,7 +131,7 @@ KERNEL score_poses(const double* rotation, const double* translation, const int6
 //
 // As `score_poses`, with inliers, support and error of the poses as they come; quality (H) float64 is the support less
 // `share` times error / limit.
-KERNEL optimize_poses(double* rotation, double* translation, const int64_t* pair, const double* limits, int64_t count,
+KERNEL(optimize_poses, double* rotation, double* translation, const int64_t* pair, const double* limits, int64_t count,
                       const double* source, const double* target, const bool* valid, int64_t pairs, int64_t width,
                       int64_t rounds, double share, bool* inliers, int64_t* support, double* error, double* quality,
                       int64_t threads) {

@@ -220,7 +220,7 @@ KERNELS(search_clouds,
         (points, offsets, limits, clouds, slots, index, valid, squares, threads))
 
 // The number of boxes of a tree over n points.
-KERNEL tree_boxes(int64_t n, int64_t) { return (int64_t(2) << tree_depth(n)) - 1; }
+KERNEL(tree_boxes, int64_t n, int64_t) { return (int64_t(2) << tree_depth(n)) - 1; }
 
 // A tree over points (N, 3), meters. Writes planes (3, N), order (N) int32 and boxes (tree_boxes(N), 6).
 KERNELS(build_tree, (const Real* points, int64_t n, Real* planes, int32_t* order, Real* boxes, int64_t threads),

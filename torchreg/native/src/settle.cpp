@@ -40,7 +40,7 @@ inline double selected(std::vector<double>& values, int64_t count, int64_t k) {
 // column 3 on, extra (E, n, 256) normal and variance of the source, rotation (B, 3, 3), pair (n), inside (n, 256); least
 // cosine between normals. Writes distance, variance (n, 256), normals (3, n, 256) of the
 // source, turned, and alike (n, 256).
-KERNEL surfel_residuals(const double* moved, const double* partner, const double* extra, const double* rotation,
+KERNEL(surfel_residuals, const double* moved, const double* partner, const double* extra, const double* rotation,
                         const int64_t* pair, const bool* inside, int64_t n, double facing, double* distance,
                         double* variance, double* normals, bool* alike, int64_t threads) {
     const int64_t stride = n * BLOCK;
@@ -69,7 +69,7 @@ KERNEL surfel_residuals(const double* moved, const double* partner, const double
 }
 
 // Equals `medians`: values and kept (n, 256), first_block (B + 1). Writes B medians, 0 where a pair has none.
-KERNEL block_medians(const double* values, const bool* kept, const int64_t* first_block, int64_t pairs, double* out,
+KERNEL(block_medians, const double* values, const bool* kept, const int64_t* first_block, int64_t pairs, double* out,
                      int64_t threads) {
     parallel(threads, pairs, 1, [&](int64_t b, int64_t, int64_t) {
         const int64_t begin = first_block[b] * BLOCK, end = first_block[b + 1] * BLOCK;
@@ -91,7 +91,7 @@ KERNEL block_medians(const double* values, const bool* kept, const int64_t* firs
 
 // Equals `normal_equations` without shades: moved and normal (3, n, 256), distance, deviation, alike (n, 256), cut (B),
 // pair (n), first_block (B + 1). Writes sums (B, 28).
-KERNEL surfel_equations(const double* moved, const double* normal, const double* distance, const double* deviation,
+KERNEL(surfel_equations, const double* moved, const double* normal, const double* distance, const double* deviation,
                         const bool* alike, const double* cut, const int64_t* pair, const int64_t* first_block, int64_t n,
                         int64_t pairs, double* sums, int64_t threads) {
     std::vector<double> partial(n * PRODUCTS);

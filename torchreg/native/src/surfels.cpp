@@ -6,7 +6,7 @@ namespace torchreg {
 // Equals `_moments` of refinement/surfels.py: centers (n, 3), points (P, 3) with weights (P) and colors (P, 3), or null;
 // near (n, K) rows; `freedom` is the share of the weights that variances are divided by. Writes mean (n, 3) relative to
 // the centers, spread (n, 3, 3), the upper triangle, reach (n) and mean colors (n, 3).
-KERNEL surfel_moments(const double* centers, const double* points, const double* weight, const double* colors,
+KERNEL(surfel_moments, const double* centers, const double* points, const double* weight, const double* colors,
                       const int64_t* near, int64_t n, int64_t neighbors, double freedom, double* mean, double* spread,
                       double* reach, double* mean_colors, int64_t threads) {
     parallel(threads, n, 256, [&](int64_t begin, int64_t end, int64_t) {
