@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, fraction
+from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.matching.nearest import FeatureNearest, feature_nearest, lexicographic, rank
 from torchreg.matching.shadows import compiled, shadowed, shadows_nearest
 from torchreg.types import Correspondences, Features
@@ -46,10 +47,11 @@ def match_mutual(
     if ratio is not None:
         fraction(ratio, "ratio")
         expect(neighbors == 1, "neighbors", "1 beside a ratio", neighbors)
-    parts = [
-        _match_pair(source, target, i, k, ratio, neighbors)
-        for i, k in zip(spans(source.offsets), spans(target.offsets), strict=True)
-    ]
+    with undisturbed(source.values):
+        parts = [
+            _match_pair(source, target, i, k, ratio, neighbors)
+            for i, k in zip(spans(source.offsets), spans(target.offsets), strict=True)
+        ]
     empty = torch.zeros(0, dtype=torch.int64, device=source.values.device)
     return Correspondences(
         source=torch.cat([empty, *(part[0] for part in parts)]),

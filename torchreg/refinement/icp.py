@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_device, expect_floating
-from torchreg.geometry.numerics.threads import shared_out
+from torchreg.geometry.numerics.threads import shared_out, undisturbed
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.native import kernel_threads
 from torchreg.refinement.levels import refine_levels
@@ -76,7 +76,8 @@ def icp(
     )
     expect_floating(T_target_source, "T_target_source")
     T = T_target_source.to(source.device, torch.float64).expand(pairs, 4, 4)
-    return refine_pairs(source, target, Pairing(range(pairs), range(pairs)), T, _per_pair(options, pairs))
+    with undisturbed(source.points):
+        return refine_pairs(source, target, Pairing(range(pairs), range(pairs)), T, _per_pair(options, pairs))
 
 
 def refine_pairs(

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchreg.errors import expect, one_of
+from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.geometry.rigid_check import expect_rigid
 from torchreg.metrics import pose_errors
 from torchreg.registration.describe import describe_thin
@@ -74,7 +75,7 @@ def verify(
         torch.Size([1])
     """
     T = _transforms(T_target_source, len(source)).to(source.device)
-    with stopwatch() as seconds:
+    with stopwatch() as seconds, undisturbed(source.points):
         effort = _effort(options, effort)
         plan = Plan(source, target, options, effort=effort, solver=None, refine=refine, max_bytes=max_bytes)
         found = []

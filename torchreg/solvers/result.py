@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.neighborhoods.coverage import coverage
 from torchreg.solvers.batch import poses_of_pairs
@@ -42,8 +43,9 @@ def solve(
     pairs = len(matches)
     solvers = list(solver) if isinstance(solver, Sequence) else [solver] * pairs
     expect(len(solvers) == pairs, "options", f"one for all or one per pair ({pairs})", len(solvers))
-    poses = poses_of_pairs(source, target, matches, solvers, seed)
-    return result_of_poses(source, target, matches, poses, solvers)
+    with undisturbed(source.points):
+        poses = poses_of_pairs(source, target, matches, solvers, seed)
+        return result_of_poses(source, target, matches, poses, solvers)
 
 
 def result_of_poses(
