@@ -7,7 +7,7 @@ score is the log of the sum of their odds. A ballot must be more likely right th
 else the groups wait for more evidence, and at last stay apart.
 
 Look-alike places, such as floors of one plan, give many links that agree with each other and are wrong. Their log-odds
-are lower than those of right ones, but they are many. So sure links vote first and alone (``_GATES``); what they have
+are lower than those of right ones, but they are many. So sure links vote first and alone (``_ROUNDS``); what they have
 decided the many do not overturn.
 """
 
@@ -27,11 +27,13 @@ from torchreg.site.graph import SiteGraph, residuals
 from torchreg.site.loops import Triangles, support
 from torchreg.site.tolerance import Tolerance
 
-_GATES = (4.0, 2.0, 0.0, -4.0)
-"""Log-odds from which links vote, one round after another."""
+_ROUNDS = ((4.0, True), (2.0, True), (0.0, True), (4.0, False), (2.0, False), (0.0, False), (-4.0, False))
+"""Log-odds from which links vote, and whether only one that a triangle confirms may call for a vote."""
+
+_CONFIRMING = 0.5  # triangles, each counted by the probability of its other two links
 
 _AHEAD = math.log(3.0)  # of the next ballot
-_CONFIRMED = math.log(10.0)  # bonus of a ballot of two pairs or more: by chance alone they hardly agree
+_CONFIRMED = math.log(30.0)  # bonus of a ballot for a second and for a third pair: by chance alone they hardly agree
 _BALLOTS = 6  # at most, between two groups
 
 
@@ -47,7 +49,7 @@ class _Ballot(NamedTuple):
     row: int  # of its surest link
     agreeing: Tensor  # (R,) bool, of the links that were asked
     score: float
-    confirmed: bool
+    pairs: int  # that say so, and one more where a triangle confirms a link of them
 
 
 def choose(graph: SiteGraph, triangles: Triangles, tolerance: Tolerance) -> Start:
@@ -71,7 +73,9 @@ class _Growth:
         nodes = graph.count + 1
         self.ends = list(zip(graph.first.tolist(), graph.second.tolist(), strict=True))
         self.evidence = graph.evidence.tolist()
-        self.score = (graph.evidence + torch.log1p(support(triangles, graph.evidence.sigmoid()))).tolist()
+        confirming = support(triangles, graph.evidence.sigmoid())
+        self.confirmed = (confirming >= _CONFIRMING).tolist()
+        self.score = (graph.evidence + torch.log1p(confirming)).tolist()
         turn, shift = tolerance.variances(graph)
         self.variance = list(zip(turn.tolist(), shift.tolist(), strict=True))
         self.turn_variance, self.shift_variance = turn, shift
@@ -88,10 +92,10 @@ class _Growth:
 
     def grown(self) -> Start:
         order = sorted(range(len(self.ends)), key=lambda row: (-self.score[row], row))
-        for gate in _GATES:
-            asked = [row for row in order if self.evidence[row] >= gate]
+        for gate, confirmed in _ROUNDS:
+            asked = [row for row in order if self.evidence[row] >= gate and (self.confirmed[row] or not confirmed)]
             refused: set[tuple[int, int]] = set()
-            while any([self._joined(row, gate, refused) for row in asked]):
+            while any([self._joined(row, gate if confirmed else min(gate, 0.0), refused) for row in asked]):
                 pass
         believed = torch.cat(self.believed) if self.believed else torch.zeros(0, dtype=torch.int64)
         return Start(self.group, self.poses, believed.sort().values)
@@ -137,9 +141,10 @@ class _Growth:
             agreeing = (self._excess(rows[place], index, few)[0] <= 1) & left
             agreeing[place] = True
             left &= ~agreeing
-            pairs = {self.ends[rows[k]] for k in agreeing.nonzero()[:, 0].tolist()}
+            links = [rows[k] for k in agreeing.nonzero()[:, 0].tolist()]
+            pairs = len({self.ends[row] for row in links}) + any(self.confirmed[row] for row in links)
             score = float(torch.logsumexp(evidence[agreeing], dim=0))
-            ballots.append(_Ballot(rows[place], agreeing, score, len(pairs) > 1))
+            ballots.append(_Ballot(rows[place], agreeing, score, pairs))
             if len(ballots) == _BALLOTS:
                 break
         return ballots
@@ -205,4 +210,4 @@ class _Growth:
 
 
 def _standing(ballot: _Ballot) -> float:
-    return ballot.score + (_CONFIRMED if ballot.confirmed else 0.0)
+    return ballot.score + _CONFIRMED * (min(ballot.pairs, 3) - 1)
