@@ -69,9 +69,7 @@ def link_of(pair: tuple[int, int], T: Tensor, log_odds: float, **more: object) -
     """A link with the covariance of right ones."""
     covariance = torch.tensor([TURN**2] * 3 + [SHIFT**2] * 3, dtype=torch.float64).diag()
     fields = {"probability": 1 / (1 + math.exp(-log_odds)), **more}
-    return Link(
-        target=pair[0], source=pair[1], T_target_source=T, log_odds=log_odds, covariance=covariance, **fields
-    )
+    return Link(target=pair[0], source=pair[1], T_target_source=T, log_odds=log_odds, covariance=covariance, **fields)
 
 
 def made_site(

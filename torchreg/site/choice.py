@@ -2,13 +2,14 @@
 
 The start decides, not the optimizer: from a wrong tree no robust loss recovers. So links are looked at in the order of
 their log-odds plus log(1 + the triangles that confirm them), as in Kruskal's maximum spanning tree; but where one would
-join two groups, all links between these groups vote. Links that put the groups to each other alike are one ballot; its
-score is the log of the sum of their odds. A ballot must be more likely right than not, and clearly ahead of the next;
-else the groups wait for more evidence, and at last stay apart.
+join two groups, all links between these groups vote. Links that put the groups to each other alike are one ballot. It
+must be more likely right than not, and clearly ahead of every other; else the groups wait for more evidence, and at
+last stay apart.
 
-Look-alike places, such as floors of one plan, give many links that agree with each other and are wrong. Their log-odds
-are lower than those of right ones, but they are many. So sure links vote first and alone (``_ROUNDS``); what they have
-decided the many do not overturn.
+Links that are wrong by accident hardly agree with each other, so a second and a third pair count much. Look-alike
+places, such as floors of one plan, give many links that agree and are wrong, and more of them prove nothing. So the
+number of pairs counts up to a few, sure links vote first and alone (``_ROUNDS``), and places of several scans are not
+joined against links that are much likelier.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ _CONFIRMING = 0.5  # triangles, each counted by the probability of its other two
 
 _AHEAD = math.log(3.0)  # of the next ballot
 _CONFIRMED = math.log(30.0)  # bonus of a ballot for a second and for a third pair: by chance alone they hardly agree
+_COUNTED = 5  # pairs of a ballot: more may be mistaken for one and the same reason
+_OUTVOTED = 2.0  # log-odds by which links that lose a vote may be likelier than those that win it
+_PLACE = 6  # scans of a group that may be a place with a look-alike
 _BALLOTS = 6  # at most, between two groups
 
 
@@ -48,7 +52,8 @@ class Start(NamedTuple):
 class _Ballot(NamedTuple):
     row: int  # of its surest link
     agreeing: Tensor  # (R,) bool, of the links that were asked
-    score: float
+    score: float  # log of the sum of their odds
+    level: float  # mean log-odds of the likelier half of them
     pairs: int  # that say so, and one more where a triangle confirms a link of them
 
 
@@ -71,7 +76,7 @@ class _Growth:
     def __init__(self, graph: SiteGraph, triangles: Triangles, tolerance: Tolerance) -> None:
         self.graph, self.tolerance = graph, tolerance
         nodes = graph.count + 1
-        self.ends = list(zip(graph.first.tolist(), graph.second.tolist(), strict=True))
+        self.ends: list[tuple[int, int]] = list(zip(graph.first.tolist(), graph.second.tolist(), strict=True))
         self.evidence = graph.evidence.tolist()
         confirming = support(triangles, graph.evidence.sigmoid())
         self.confirmed = (confirming >= _CONFIRMING).tolist()
@@ -95,7 +100,7 @@ class _Growth:
         for gate, confirmed in _ROUNDS:
             asked = [row for row in order if self.evidence[row] >= gate and (self.confirmed[row] or not confirmed)]
             refused: set[tuple[int, int]] = set()
-            while any([self._joined(row, gate if confirmed else min(gate, 0.0), refused) for row in asked]):
+            while sum(self._joined(row, gate if confirmed else min(gate, 0.0), refused) for row in asked):
                 pass
         believed = torch.cat(self.believed) if self.believed else torch.zeros(0, dtype=torch.int64)
         return Start(self.group, self.poses, believed.sort().values)
@@ -109,20 +114,21 @@ class _Growth:
         rows = self._between(few, many)
         ballots = self._ballots([k for k in rows if self.evidence[k] >= gate], few)
         ballots.sort(key=lambda ballot: (-_standing(ballot), ballot.row))
-        behind = _standing(ballots[1]) if len(ballots) > 1 else -math.inf
-        if ballots[0].score < 0 or _standing(ballots[0]) - behind < _AHEAD:
+        first, rivals = ballots[0], ballots[1:]
+        outvoted = _OUTVOTED if len(self.members[few]) >= _PLACE else math.inf
+        beaten = all(
+            _standing(first) - _standing(rival) >= _AHEAD and rival.level - first.level <= outvoted for rival in rivals
+        )
+        if first.score < 0 or not beaten:
             refused.add((one, other))
             return False
-        self._join(ballots[0].row, few, many, rows)
+        self._join(first.row, few, many, rows)
         return True
 
     def _between(self, few: int, many: int) -> list[int]:
         """The links between two groups, in order."""
         return sorted(
-            row
-            for node in self.members[few]
-            for row in self.links[node]
-            if self.group[self._across(row, node)] == many
+            row for node in self.members[few] for row in self.links[node] if self.group[self._across(row, node)] == many
         )
 
     def _across(self, row: int, node: int) -> int:
@@ -144,7 +150,9 @@ class _Growth:
             links = [rows[k] for k in agreeing.nonzero()[:, 0].tolist()]
             pairs = len({self.ends[row] for row in links}) + any(self.confirmed[row] for row in links)
             score = float(torch.logsumexp(evidence[agreeing], dim=0))
-            ballots.append(_Ballot(rows[place], agreeing, score, pairs))
+            likelier = evidence[agreeing].sort(descending=True).values
+            level = float(likelier[: (len(likelier) + 1) // 2].mean())
+            ballots.append(_Ballot(rows[place], agreeing, score, level, pairs))
             if len(ballots) == _BALLOTS:
                 break
         return ballots
@@ -210,4 +218,4 @@ class _Growth:
 
 
 def _standing(ballot: _Ballot) -> float:
-    return ballot.score + _CONFIRMED * (min(ballot.pairs, 3) - 1)
+    return ballot.level + math.log(min(ballot.pairs, _COUNTED)) + _CONFIRMED * (min(ballot.pairs, 3) - 1)

@@ -1,14 +1,15 @@
 """The links of a site as tensors, in an order of their own and in frames where numbers are small.
 
 Scans are nodes 0 to N - 1, and the world is node N: a known pose is a link from its scan to the world. Every scan's
-frame is moved to the middle of its overlaps, that of the world to the middle of the known poses: so coordinates of a map
-lose no digits, and turns and shifts do not depend on each other more than they must.
+frame is moved to the middle of its overlaps, that of the world to the middle of the known poses: so coordinates of a
+map lose no digits, and turns and shifts do not depend on each other more than they must.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -54,13 +55,26 @@ class SiteGraph:
 
     def take(self, rows: Tensor) -> SiteGraph:
         """The links ``rows`` (K,) alone, in that order; int64 or a mask."""
-        parts = (self.number, self.first, self.second, self.T, self.covariance, self.center, self.evidence)
-        return SiteGraph(self.count, *(part[rows] for part in parts), self.zero)
+        parts = ("number", "first", "second", "T", "covariance", "center", "evidence")
+        return replace(self, **{name: getattr(self, name)[rows] for name in parts})
 
     @property
     def known(self) -> Tensor:
         """(L,) bool, which are known poses."""
         return self.second == self.count
+
+
+class _Row(NamedTuple):
+    """A link or a known pose as it was given."""
+
+    number: int
+    target: int
+    source: int
+    T: Tensor  # (4, 4) T_target_source
+    covariance: Tensor  # (6, 6)
+    center: Tensor  # (3,)
+    evidence: float
+    rank: int
 
 
 def site_graph(links: Sequence[Link], known: Iterable[KnownPose], count: int) -> SiteGraph:
@@ -69,25 +83,27 @@ def site_graph(links: Sequence[Link], known: Iterable[KnownPose], count: int) ->
     Raises:
         ValueError: a link or a known pose of a scan that there is not.
     """
-    rows = []
+    rows: list[_Row] = []
     for place, link in enumerate(links):
         for name, scan in (("target", link.target), ("source", link.source)):
             expect(scan < count, f"links[{place}].{name}", f"a scan below {count}", scan)
         T, covariance, center = (each.cpu() for each in (link.T_target_source, link.covariance, link.center))
-        rows.append((place, link.target, link.source, T, covariance, center, _evidence(link), link.rank))
+        rows.append(_Row(place, link.target, link.source, T, covariance, center, _evidence(link), link.rank))
     for place, pose in enumerate(known):
         expect(pose.scan < count, f"known[{place}].scan", f"a scan below {count}", pose.scan)
         T, covariance = pose.T_world_scan.cpu(), pose.covariance.cpu()
         center = T[:3, 3] if pose.center is None else pose.center.cpu()
-        rows.append((len(links) + place, count, pose.scan, T, covariance, center, SURE, 0))
+        rows.append(_Row(len(links) + place, count, pose.scan, T, covariance, center, SURE, 0))
     if not rows:
         none = torch.zeros(0, dtype=torch.int64)
         wide = torch.zeros(0, dtype=torch.float64)
         parts = (wide.view(0, 4, 4), wide.view(0, 6, 6), wide.view(0, 3), wide)
         return SiteGraph(count, none, none, none, *parts, torch.zeros(count + 1, 3, dtype=torch.float64))
-    number, target, source = (torch.tensor([row[k] for row in rows]) for k in range(3))
-    T, covariance, center = (torch.stack([row[k] for row in rows]) for k in range(3, 6))
-    evidence, rank = torch.tensor([row[6] for row in rows], dtype=torch.float64), [row[7] for row in rows]
+    number = torch.tensor([row.number for row in rows])
+    target, source = torch.tensor([row.target for row in rows]), torch.tensor([row.source for row in rows])
+    T, covariance = torch.stack([row.T for row in rows]), torch.stack([row.covariance for row in rows])
+    center = torch.stack([row.center for row in rows])
+    evidence, rank = torch.tensor([row.evidence for row in rows], dtype=torch.float64), [row.rank for row in rows]
     forward = target < source
     back = inverse(T)
     R = back[:, :3, :3]

@@ -75,7 +75,7 @@ class _Problem:
         both = (self.first >= 0) & (self.second >= 0)
         self.both = both.nonzero()[:, 0]
         pairs = torch.stack([self.first[both], self.second[both]], dim=1)
-        edges, self.edge = pairs.unique(dim=0, return_inverse=True) if len(pairs) else (pairs, pairs[:, 0])
+        edges, self.edge = torch.unique(pairs, dim=0, return_inverse=True)
         self.edges = len(edges)
         self.elimination = Elimination(len(self.free), [(a, b) for a, b in edges.tolist()])
         self.redundancy = max(len(graph) - len(self.free), 0) / max(len(graph), 1)

@@ -18,6 +18,7 @@ from torchreg.site.graph import SiteGraph, residuals, site_graph
 from torchreg.site.links import KnownPose, Link
 from torchreg.site.loops import Triangles, agreeing_triangles
 from torchreg.site.optimize import SettledPoses, settle_poses
+from torchreg.site.reasons import reasons_of
 from torchreg.site.tolerance import Tolerance
 
 _FAINT = -4.0  # log-odds: links below take no part before there are poses
@@ -130,15 +131,15 @@ def _settled(graph: SiteGraph, poses: Tensor, rows: Tensor, tolerance: Tolerance
         # the world stays where it is; other groups stay where their first scan is
         fixed = group == torch.arange(len(group))
         held = _grounded(graph, poses, group)
-        settled = settle_poses(graph.take(rows), held, fixed)
-        poses = settled.poses
+        result = _Settled(rows, group, settle_poses(graph.take(rows), held, fixed))
+        poses = result.poses.poses
         seen.add(tuple(rows.tolist()))
         inside = (group[graph.first] == group[graph.second]).nonzero()[:, 0]
         chosen = best_of_pairs(graph, inside, _excess(graph.take(inside), poses, tolerance))
         if tuple(chosen.tolist()) in seen:
             break
         rows = chosen
-    return _Settled(rows, group, settled)
+    return result
 
 
 def _groups(graph: SiteGraph, rows: Tensor) -> Tensor:
@@ -199,9 +200,7 @@ def _placement(graph: SiteGraph, links: Sequence[Link], settled: _Settled, toler
     loops = _loops(agreeing_triangles(graph.take(rows), tolerance), len(rows))
     around = torch.full((3, len(graph)), torch.nan, dtype=torch.float64)
     around[:, rows] = loops
-    back = torch.full((len(graph),), 0, dtype=torch.int64)
-    back[graph.number] = torch.arange(len(graph))
-    back = back[: len(links)]
+    back = graph.number.argsort()[: len(links)]  # from the order of the graph to that of the links
     nothing = torch.where(placed, 0.0, torch.nan)[:, None]
     return Placement(
         T_world_scan=T + nothing[:, None],
@@ -209,7 +208,7 @@ def _placement(graph: SiteGraph, links: Sequence[Link], settled: _Settled, toler
         in_world=(group[:count] == count) & placed,
         covariance=covariance + nothing[:, None],
         center=center + nothing,
-        reason=tuple(_reasons(graph, links, settled, placed)),
+        reason=reasons_of(graph, links, placed),
         used=used[back],
         weight=weight[back],
         meters=meters[back],
@@ -232,34 +231,6 @@ def _loops(triangles: Triangles, count: int) -> Tensor:
     for row, (shifts, turns) in enumerate(pieces):
         if len(shifts):
             result[:, row] = torch.stack(
-                [torch.tensor(float(len(shifts))).double(), shifts.median(), torch.rad2deg(turns.median())]
+                [shifts.new_tensor(len(shifts)), shifts.median(), torch.rad2deg(turns.median())]
             )
     return result
-
-
-def _reasons(graph: SiteGraph, links: Sequence[Link], settled: _Settled, placed: Tensor) -> list[str]:
-    """Why scans are not placed."""
-    best: dict[int, int] = {}
-    order = sorted(range(len(graph)), key=lambda row: (-float(graph.evidence[row]), row))
-    for row in order:
-        for node in (int(graph.first[row]), int(graph.second[row])):
-            best.setdefault(node, row)
-    reasons = []
-    for scan, fine in enumerate(placed.tolist()):
-        if fine:
-            reasons.append("")
-        elif graph.count == 1:
-            reasons.append("it is the only scan")
-        elif scan not in best:
-            reasons.append("no pose to any other scan was found")
-        else:
-            row = best[scan]
-            link = links[int(graph.number[row])]
-            other = link.source if link.target == scan else link.target
-            why = f" ({link.reason})" if link.reason else ""
-            if float(graph.evidence[row]) < 0:
-                text = f"no link is likely enough: the best, to scan {other}, has a probability of {link.probability:.2g}{why}"
-            else:
-                text = f"links contradict each other: the best, to scan {other}, has a probability of {link.probability:.2g}"
-            reasons.append(text)
-    return reasons
