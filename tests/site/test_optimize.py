@@ -1,4 +1,4 @@
-"""Poses by least squares: the truth without noise, errors as the covariance says, wrong links that lose their weight."""
+"""Poses by least squares: the truth without noise, errors as covariances say, wrong links that lose their weight."""
 
 import torch
 from closeness import close

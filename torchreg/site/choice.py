@@ -26,6 +26,7 @@ from torch import Tensor
 from torchreg.geometry.se3 import compose, inverse
 from torchreg.site.graph import SiteGraph, residuals
 from torchreg.site.loops import Triangles, support
+from torchreg.site.optimize import settle_poses
 from torchreg.site.tolerance import Tolerance
 
 _ROUNDS = ((4.0, True), (2.0, True), (0.0, True), (4.0, False), (2.0, False), (0.0, False), (-4.0, False))
@@ -81,9 +82,7 @@ class _Growth:
         confirming = support(triangles, graph.evidence.sigmoid())
         self.confirmed = (confirming >= _CONFIRMING).tolist()
         self.score = (graph.evidence + torch.log1p(confirming)).tolist()
-        turn, shift = tolerance.variances(graph)
-        self.variance = list(zip(turn.tolist(), shift.tolist(), strict=True))
-        self.turn_variance, self.shift_variance = turn, shift
+        self._expect_errors(1.0)
         self.links: list[list[int]] = [[] for _ in range(nodes)]
         for row, (a, b) in enumerate(self.ends):
             self.links[a].append(row)
@@ -100,10 +99,30 @@ class _Growth:
         for gate, confirmed in _ROUNDS:
             asked = [row for row in order if self.evidence[row] >= gate and (self.confirmed[row] or not confirmed)]
             refused: set[tuple[int, int]] = set()
+            joined = len(self.believed)
             while sum(self._joined(row, gate if confirmed else min(gate, 0.0), refused) for row in asked):
                 pass
-        believed = torch.cat(self.believed) if self.believed else torch.zeros(0, dtype=torch.int64)
-        return Start(self.group, self.poses, believed.sort().values)
+            if len(self.believed) > joined:
+                self._relax()
+        return Start(self.group, self.poses, self._rows())
+
+    def _rows(self) -> Tensor:
+        """The links that are believed, in order."""
+        return torch.cat(self.believed).sort().values if self.believed else torch.zeros(0, dtype=torch.int64)
+
+    def _relax(self) -> None:
+        """Settle the poses of all groups, so that errors do not add up along chains, and learn how large they are."""
+        fixed = torch.zeros(len(self.poses), dtype=torch.bool)
+        for members in self.members.values():
+            fixed[max(members) if self.graph.count in members else min(members)] = True
+        settled = settle_poses(self.graph.take(self._rows()), self.poses, fixed)
+        self.poses = settled.poses
+        self._expect_errors(settled.scale)
+
+    def _expect_errors(self, scale: float) -> None:
+        """Let links err by as much as their covariances promise, squares times ``scale``."""
+        self.turn_variance, self.shift_variance = self.tolerance.variances(self.graph, scale)
+        self.variance = list(zip(self.turn_variance.tolist(), self.shift_variance.tolist(), strict=True))
 
     def _joined(self, row: int, gate: float, refused: set[tuple[int, int]]) -> bool:
         """Whether the two groups of a link were joined."""

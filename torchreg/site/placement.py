@@ -132,10 +132,10 @@ def _settled(graph: SiteGraph, poses: Tensor, rows: Tensor, tolerance: Tolerance
         fixed = group == torch.arange(len(group))
         held = _grounded(graph, poses, group)
         result = _Settled(rows, group, settle_poses(graph.take(rows), held, fixed))
-        poses = result.poses.poses
+        poses, scale = result.poses.poses, result.poses.scale
         seen.add(tuple(rows.tolist()))
         inside = (group[graph.first] == group[graph.second]).nonzero()[:, 0]
-        chosen = best_of_pairs(graph, inside, _excess(graph.take(inside), poses, tolerance))
+        chosen = best_of_pairs(graph, inside, _excess(graph.take(inside), poses, tolerance, scale))
         if tuple(chosen.tolist()) in seen:
             break
         rows = chosen
@@ -166,10 +166,10 @@ def _grounded(graph: SiteGraph, poses: Tensor, group: Tensor) -> Tensor:
     return compose(ground[group], compose(inverse(poses[group]), poses))
 
 
-def _excess(graph: SiteGraph, poses: Tensor, tolerance: Tolerance) -> Tensor:
+def _excess(graph: SiteGraph, poses: Tensor, tolerance: Tolerance, scale: float) -> Tensor:
     turn, shift = residuals(graph, poses).split(3, dim=1)
     lengths = torch.linalg.vector_norm(turn, dim=1), torch.linalg.vector_norm(shift, dim=1)
-    return tolerance.excess(*lengths, *tolerance.variances(graph))
+    return tolerance.excess(*lengths, *tolerance.variances(graph, scale))
 
 
 def _placement(graph: SiteGraph, links: Sequence[Link], settled: _Settled, tolerance: Tolerance) -> Placement:

@@ -31,12 +31,12 @@ class Tolerance:
         positive(self.meters, "meters")
         positive(self.degrees, "degrees")
 
-    def variances(self, graph: SiteGraph) -> tuple[Tensor, Tensor]:
-        """The mean variances of turns (radians) and shifts (meters) of each link, (L,)."""
+    def variances(self, graph: SiteGraph, scale: float = 1.0) -> tuple[Tensor, Tensor]:
+        """The mean variances of turns (radians) and shifts (meters) of links, (L,), those promised times ``scale``."""
         diagonal = graph.covariance.diagonal(dim1=1, dim2=2)
         both = []
         for part, most in ((diagonal[:, :3], math.radians(self.degrees)), (diagonal[:, 3:], self.meters)):
-            both.append(part.mean(dim=1).clamp(max=(_MOST * most) ** 2) + (_PER_LINK * most) ** 2)
+            both.append((scale * part.mean(dim=1)).clamp(max=(_MOST * most) ** 2) + (_PER_LINK * most) ** 2)
         return both[0], both[1]
 
     def excess(self, turn: Tensor, shift: Tensor, turn_variance: Tensor, shift_variance: Tensor) -> Tensor:
