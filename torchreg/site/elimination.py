@@ -27,7 +27,9 @@ class Front(NamedTuple):
     parent: int  # the front that eliminates the first of those left; -1 where none is left
     places: Tensor  # (neighbors * 6,) rows of the parent's front that hold the neighbors
     diagonal: Tensor  # (pivots,) the eliminated nodes
-    edges: tuple[tuple[int, int, int, bool], ...]  # edge, place of the pivot and of the other; the edge's first is it
+    edges: Tensor  # (K,) edges of the eliminated nodes, but those to nodes eliminated before
+    ends: Tensor  # (2, K) places of their ends among the nodes, the one that is eliminated first before the other
+    forward: Tensor  # (K, 1, 1) bool, whether that is the first of the edge
 
 
 class Factor(NamedTuple):
@@ -70,7 +72,7 @@ class Elimination:
                     parent,
                     _expanded(places),
                     torch.tensor(pivots, dtype=torch.int64),
-                    tuple(own[number]),
+                    *_edges_of(own[number]),
                 )
             )
 
@@ -86,10 +88,10 @@ class Elimination:
             blocks = diagonal.new_zeros(len(front.nodes), _SIZE, len(front.nodes), _SIZE)
             place = torch.arange(front.pivots)
             blocks[place, :, place] = diagonal[front.diagonal]
-            for edge, one, other, forward in front.edges:
-                block = between[edge] if forward else between[edge].t()
-                blocks[one, :, other] = block
-                blocks[other, :, one] = block.t()
+            own = between[front.edges]
+            one, other = front.ends
+            blocks[one, :, other] = torch.where(front.forward, own, own.transpose(1, 2))
+            blocks[other, :, one] = torch.where(front.forward, own.transpose(1, 2), own)
             matrix = blocks.view(size, size)
             for rows, update in waiting[number]:
                 matrix[rows[:, None], rows] += update
@@ -179,6 +181,12 @@ def _least_degree(count: int, edges: list[tuple[int, int]]) -> list[tuple[list[i
             gone[other] = True
         order.append((pivots, left))
     return order
+
+
+def _edges_of(own: list[tuple[int, int, int, bool]]) -> tuple[Tensor, Tensor, Tensor]:
+    """The edges of a front, the places of their ends, and whether they run forward, as tensors."""
+    rows = torch.tensor(own, dtype=torch.int64).view(-1, 4)
+    return rows[:, 0], rows[:, 1:3].t(), rows[:, 3].bool()[:, None, None]
 
 
 def _expanded(places: list[int]) -> Tensor:
