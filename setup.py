@@ -41,7 +41,7 @@ def extension(name: str, instructions: list[str]) -> Extension:
         options, links = ["/std:c++17", "/O2", "/fp:precise", "/EHsc"], []
     else:
         options = ["-std=c++17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
-        options += ["-fvisibility=hidden", "-pthread", "-g0"]
+        options += ["-fvisibility=hidden", "-pthread", "-g0", "-Wno-maybe-uninitialized"]
         links = ["-pthread"]
     return Extension(
         f"torchreg.native.lib.{name}",
@@ -57,6 +57,11 @@ def extension(name: str, instructions: list[str]) -> Extension:
 
 class BuildLibraries(build_ext):
     """Plain shared libraries, which no version of Python is built into."""
+
+    def finalize_options(self) -> None:
+        """Build the libraries side by side."""
+        super().finalize_options()
+        self.parallel = self.parallel or True
 
     def copy_extensions_to_source(self) -> None:
         """Put the libraries beside their sources, in a folder that is not kept with these."""

@@ -40,8 +40,9 @@ from common import (
 from torch import Tensor
 
 import torchreg as tr
+from torchreg.benchmark.speed.batches import small_pairs
 
-MIXED, SMALL, SMALL_POINTS, MALLS = 64, 256, 1000, 16
+MIXED, SMALL, SMALL_POINTS = 64, 256, 1000
 SIZES = (200, 20_000)
 
 MILLION = """
@@ -225,8 +226,8 @@ def count_found(poses: Tensor, truths: list[Tensor], options: tuple[tr.Registrat
 
 def small(repeats: int) -> tuple[dict[str, Any], str]:
     """256 pairs of 1,000 points in one call against the loop over single calls."""
-    pairs = scans()
-    source, target = (tr.Clouds.pack(side) for side in pairs)
+    source, target = small_pairs(SMALL, SMALL_POINTS)
+    pairs = source.unpack(), target.unpack()
     content: dict[str, Any] = {}
     rows = []
     for name, effort in (("balanced (default)", None), ("fast", "fast"), ("plain", "plain")):
@@ -248,18 +249,6 @@ def memory(repeats: int) -> tuple[dict[str, Any], str]:
     peaks = {name: [peak_bytes(*code)["bytes"] for _ in range(repeats)] for name, code in PEAKS.items()}
     rows = [[name, f"{max(several) / 2**30:.2f} GiB"] for name, several in peaks.items()]
     return peaks, table(["peak memory, above imports and clouds", ""], rows)
-
-
-def scans() -> tuple[list[tr.Clouds], list[tr.Clouds]]:
-    """Random choices of the points of two stations in some malls."""
-    malls = [tr.datasets.mall(seed=seed, angular_step=1.2) for seed in range(MALLS)]
-    sides: tuple[list[tr.Clouds], list[tr.Clouds]] = ([], [])
-    for number in range(SMALL):
-        pair = malls[number % MALLS]
-        for side, cloud in zip(sides, (pair.source, pair.target), strict=True):
-            generator = torch.Generator().manual_seed(number)
-            side.append(tr.random_downsample(cloud, SMALL_POINTS, generator=generator))
-    return sides
 
 
 def geometry(options: tr.RegistrationOptions, confidence: float) -> tr.RegistrationOptions:

@@ -1,16 +1,21 @@
 """The speed benchmark: what it times is what it says, growth by known laws, resumed and refused as it should."""
 
 import json
+import time
 
+import psutil
 import pytest
+from real_folders import project
 from refusals import refuses
 from typer.testing import CliRunner
 
 from torchreg.benchmark.core.timing import interleaved
+from torchreg.benchmark.speed import batches, busy, large
 from torchreg.benchmark.speed import study as studies
 from torchreg.benchmark.speed.document import growth_table, series, slope, times_table
 from torchreg.benchmark.speed.grid import HYPOTHESES, SLOTS, STAGES, cells
 from torchreg.benchmark.speed.scene import Scenes
+from torchreg.benchmark.speed.side_by_side import of_part, table_of_part
 from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
 from torchreg.cli.app import app
 
@@ -82,7 +87,9 @@ def test_tables_tell_ratios_and_growth():
 
 def test_the_command_writes_its_folder_and_goes_on(tmp_path, monkeypatch):
     asked = list(cells((300,)))[:2]
-    monkeypatch.setattr(studies, "cells", lambda points: iter(asked))
+    monkeypatch.setattr(studies.batches, "cells", lambda *_, **__: [])
+    monkeypatch.setattr(studies.large, "cells", lambda *_, **__: [])
+    monkeypatch.setattr(studies, "cells", lambda *_: iter(asked))
     out = tmp_path / "speed"
     words = ["bench", "speed", "--quick", "--out", str(out)]
     first = CliRunner().invoke(app, words)
@@ -102,3 +109,56 @@ def test_points_that_are_no_counts_are_refused(tmp_path, points):
     result = CliRunner().invoke(app, ["bench", "speed", "--out", str(tmp_path / "x"), "--points", points])
     assert result.exit_code == 2
     assert "--points" in result.output
+
+
+def test_a_table_compares_with_the_first_way():
+    rows = [{"key": "a", "part": "batches", "case": "4 pairs", "seconds": {"loop": [4.0], "one call": [1.0]}}]
+    (*_, last) = table_of_part(rows, "batches").splitlines()
+    assert last.startswith("| 4 pairs | one call |")
+    assert "| 4.0 |" in last
+    assert table_of_part(rows, "large") == ""
+
+
+def test_rows_without_a_part_are_those_of_stages():
+    rows = [row("FPFH", 10, {OURS: [1.0]}), {"key": "b", "part": "large", "case": "x", "seconds": {"a": [1.0]}}]
+    assert of_part(rows, "stages") == rows[:1]
+    assert of_part(rows, "large") == rows[1:]
+
+
+def test_one_core_is_busy_within_the_context_alone():
+    me = psutil.Process()
+    with busy.busy_core():
+        (child,) = me.children()
+        time.sleep(0.2)
+        assert child.cpu_times().user > 0
+    assert not child.is_running()
+
+
+def test_the_core_is_free_again_after_an_error():
+    with pytest.raises(KeyError), busy.busy_core():
+        raise KeyError
+    assert psutil.Process().children() == []
+
+
+def test_quiet_and_busy_are_compared_pair_by_pair():
+    seconds = {"quiet": {"default": [1.0], "open3d-600k": [4.0]}, "busy": {"default": [3.0], "open3d-600k": [6.0]}}
+    rows = [{"key": name, "part": "busy", "case": name, "seconds": seconds} for name in "ab"]
+    line = next(line for line in busy.table(rows).splitlines() if "default" in line)
+    assert [cell.strip() for cell in line.split("|")[-4:-1]] == ["3.00", "4.00", "2.00"]
+    assert busy.table([]) == ""
+
+
+@pytest.mark.slow
+def test_batches_and_large_things_are_measured():
+    for cell in (*batches.cells(1, quick=True), *large.cells(1, quick=True)):
+        found = cell.measure()
+        assert all(min(seconds) > 0 for seconds in found["seconds"].values()), cell.key
+
+
+def test_real_pairs_are_measured_quiet_and_busy(tmp_path, monkeypatch):
+    monkeypatch.setattr(busy, "_COMPARED", ("fast",))
+    (cell,) = busy.cells(project(tmp_path), 1, quick=True)
+    assert {state: list(found) for state, found in cell.measure()["seconds"].items()} == {
+        "quiet": ["fast"],
+        "busy": ["fast"],
+    }

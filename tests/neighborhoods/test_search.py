@@ -197,6 +197,14 @@ def test_compiled_kernels_find_what_torch_finds_in_large_and_uneven_clouds(dtype
 
 
 @every_backend
+@pytest.mark.parametrize("radius", [1e-30, 1.0, 1e15])
+def test_copies_of_one_point_are_neighbors_at_any_radius(backend, radius):
+    near = neighbors(Clouds(points=torch.ones(100, 3)), radius, 3, backend=backend)
+    assert near.counts().tolist() == [3] * 100
+    assert not near.sq_distance.any()
+
+
+@every_backend
 def test_a_radius_whose_square_underflows_holds_the_point_itself(backend):
     near = neighbors(random_cloud(20), 1e-30, 3, backend=backend)
     assert near.counts().tolist() == [1] * 20

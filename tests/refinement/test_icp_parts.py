@@ -17,14 +17,15 @@ from torchreg.refinement.colored import color_gradient, tangents
 from torchreg.refinement.correspond import FEW, Correspondence, Target, all_pairs, few_nearest
 from torchreg.refinement.gauss_newton import rotation_zyx
 from torchreg.refinement.kernels import KERNELS
+from torchreg.refinement.tree_correspond import correspondences
 
 
-def correspondence(source, target, max_distance, search=few_nearest):
+def correspondence(source, target, max_distance, make=Correspondence, search=few_nearest):
     blocks = Blocks.of([len(cloud) for cloud in source], source[0].device)
     first = np.cumsum([0, *(len(cloud) for cloud in target[:-1])]).tolist()
     packed = Target(torch.cat(target).t().contiguous(), tuple(first), tuple(map(search, target)))
     limit = torch.full((len(source),), max_distance, dtype=torch.float64)
-    return Correspondence(blocks, blocks.fill(torch.cat(source)), packed, limit)
+    return make(blocks, blocks.fill(torch.cat(source)), packed, limit)
 
 
 def assert_full_search(found, source, target, R, t, max_distance):
@@ -41,16 +42,17 @@ def assert_full_search(found, source, target, R, t, max_distance):
         assert torch.equal(found.partner.view(3, -1)[:, rows].t()[inside], target[b][row][inside])
 
 
+@pytest.mark.parametrize("make", [Correspondence, correspondences])
 @given(st.integers(0, 2**31), st.floats(0, 0.3), st.sampled_from([0.05, 0.3, 5.0]))
 @settings(max_examples=25)
-def test_searches_that_are_skipped_change_nothing(seed, step, max_distance):
+def test_searches_that_are_skipped_change_nothing(make, seed, step, max_distance):
     generator = torch.Generator().manual_seed(seed)
 
     def cloud(count):
         return torch.rand(count, 3, dtype=torch.float64, generator=generator)
 
     source, target = [cloud(300), cloud(20), cloud(257)], [cloud(150), cloud(2), cloud(1)]
-    found = correspondence(source, target, max_distance)
+    found = correspondence(source, target, max_distance, make)
     R = torch.eye(3, dtype=torch.float64).repeat(3, 1, 1)
     t = torch.zeros(3, 3, dtype=torch.float64)
     for turn in range(6):
@@ -58,6 +60,8 @@ def test_searches_that_are_skipped_change_nothing(seed, step, max_distance):
         assert_full_search(found, source, target, R, t, max_distance)
         if turn == 3:
             found.keep([0, 2])
+            found.narrow(0.5 * found.max_distance)
+            max_distance *= 0.5
         angles, shift = torch.randn(2, 3, 3, dtype=torch.float64, generator=generator)
         R = rotation_zyx(step * angles) @ R
         t = t + step * shift

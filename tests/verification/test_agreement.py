@@ -44,3 +44,15 @@ def test_no_matches_support_nothing():
     )
     assert weighed.support.tolist() == [0]
     assert weighed.surprise.tolist() == [0.0]
+
+
+def test_cells_are_those_of_unique_corners():
+    matched, _ = problem(100, 300)
+    cells = match_cells(matched, 0.1)
+    corner = torch.floor((matched.source - matched.source.amin(dim=0)) / 0.35)
+    _, cell, size = corner.unique(dim=0, return_inverse=True, return_counts=True)
+    order = cell.argsort(stable=True)
+    assert torch.equal(cells.size, size)
+    assert torch.equal(cells.last, size.cumsum(0) - 1)
+    assert torch.equal(cells.source, matched.source[order].t())
+    assert torch.equal(cells.targets[:, 0], matched.target[order].t())

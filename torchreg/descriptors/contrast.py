@@ -21,10 +21,12 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import colors_of
-from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
+from torchreg.geometry.numerics.interleaved import interleaved_sum
+from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CONTRAST_SIZE = 10
@@ -56,26 +58,8 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
         inner = (INNER * radius).square().to(near.sq_distance)[:, None]
     else:
         inner = torch.as_tensor((INNER * positive(radius, "radius")) ** 2).to(near.sq_distance).expand(count, 1)
-    channels = [channel.contiguous() for channel in colors.unbind(1)]
-    out = colors.new_empty(count, CONTRAST_SIZE)
-    for rows in row_chunks(count, near.max_neighbors):
-        valid = near.valid[rows]
-        index = near.index[rows]
-        whole = valid.to(colors.dtype)
-        core = (valid & (near.sq_distance[rows] < inner[rows])).to(colors.dtype)
-        columns = []
-        for channel in channels:
-            value = gather(channel, index) - channel[rows, None]  # against the point's own, to lose no digits
-            own = channel[rows]
-            near_mean, near_spread = _moments(value, core)
-            far_mean, far_spread = _moments(value, whole)
-            far_level = own + far_mean + _FLOOR
-            near_level = own + near_mean + _FLOOR
-            columns += [near_spread / near_level, far_spread / far_level, (near_mean - far_mean) / far_level]
-        described = (whole.sum(dim=1) > 1).to(colors.dtype)
-        columns.append(torch.full_like(columns[0], _CONSTANT))
-        torch.mul(torch.stack(columns, dim=1), described[:, None], out=out[rows])
-    return Features(out, cloud.offsets, (("contrast", CONTRAST_SIZE),), valid=(out != 0).any(dim=1))
+    values = _contrast(colors, near, inner)
+    return Features(values, cloud.offsets, (("contrast", CONTRAST_SIZE),), valid=largest_entries(values) != 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +80,46 @@ class Contrast(Descriptor):
         return contrast(cloud, near, self.radius if near.radius is None else near.radius)
 
 
+def _contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
+    """Contrast (P, 10) of every point; ``inner`` (P, 1) is the square of the radius of its inner support."""
+    single = colors.dtype == near.sq_distance.dtype == torch.float32
+    if single and native(colors, near.index, near.valid, near.sq_distance):
+        return _native_contrast(colors, near, inner)
+    channels = [channel.contiguous() for channel in colors.detach().unbind(1)]
+    out = colors.new_empty(len(colors), CONTRAST_SIZE)
+    for part in row_chunks(len(colors), near.max_neighbors):
+        valid = near.valid[part]
+        index = near.index[part]
+        whole = valid.to(colors.dtype)
+        core = (valid & (near.sq_distance[part] < inner[part])).to(colors.dtype)
+        columns = []
+        for channel in channels:
+            value = gather(channel, index) - channel[part, None]  # against the point's own, to lose no digits
+            own = channel[part]
+            near_mean, near_spread = _moments(value, core)
+            far_mean, far_spread = _moments(value, whole)
+            far_level = own + far_mean + _FLOOR
+            near_level = own + near_mean + _FLOOR
+            columns += [near_spread / near_level, far_spread / far_level, (near_mean - far_mean) / far_level]
+        described = (whole.sum(dim=1) > 1).to(colors.dtype)
+        columns.append(torch.full_like(columns[0], _CONSTANT))
+        torch.mul(torch.stack(columns, dim=1), described[:, None], out=out[part])
+    return out
+
+
+def _native_contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
+    out = colors.new_empty(len(colors), CONTRAST_SIZE)
+    slots = *rows(near.index), *rows(near.valid), *rows(near.sq_distance)
+    sizes = len(colors), near.max_neighbors
+    call("contrast_f32", colors.detach().contiguous(), *slots, inner.contiguous(), *sizes, _FLOOR, _CONSTANT, out)
+    return out
+
+
 def _moments(value: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation (r,) of values (r, K) where the weight is 1."""
     share = 1 / weight.sum(dim=1).clamp(min=1)
     weighted = value * weight
-    mean = weighted.sum(dim=1) * share
-    return mean, ((weighted * value).sum(dim=1) * share - mean * mean).clamp(min=0).sqrt()
+    mean = interleaved_sum(weighted) * share
+    variance = (interleaved_sum(weighted * value) * share - mean * mean).clamp(min=0)
+    # by the reciprocal root: torch's square root on the CPU is not the nearest number
+    return mean, variance * variance.clamp(min=torch.finfo(variance.dtype).tiny).rsqrt()

@@ -19,6 +19,11 @@ from torchreg.types.lengths import length, scaled
 AnyDescriptor = TypeVar("AnyDescriptor", bound="Descriptor")
 
 
+def largest_entries(values: Tensor) -> Tensor:
+    """The largest magnitude (P,) in every row of features (P, D), NaN in rows that hold one, zero in zero rows."""
+    return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(len(values))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Descriptor(ABC):
     """The options of one descriptor, and how it describes a cloud. Subclasses are frozen dataclasses.

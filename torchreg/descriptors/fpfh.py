@@ -17,10 +17,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.pair_features import (
     ANGLE_BINS,
+    ANGLE_EDGES,
     Oriented,
     angle_bins,
     compact_pair_features,
@@ -33,6 +34,7 @@ from torchreg.errors import expect, expect_floating, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.compiled import fusible
 from torchreg.geometry.numerics.gather import gather
+from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 
 FPFH_SIZE = 3 * ANGLE_BINS
@@ -107,7 +109,7 @@ def fpfh(
     else:
         spfh = simplified_histograms(cloud.points, cloud.normals, near)
         values = add_weighted_neighbors(spfh, near, ANGLE_BINS, keep_own=mode == "open3d")
-    return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=(values != 0).any(dim=1))
+    return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=largest_entries(values) != 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,17 +147,27 @@ class Fpfh(Descriptor):
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
     """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
+    if points.dtype == normals.dtype == torch.float32 and native(points, normals, near.index, near.valid):
+        return _native_histograms(points, normals, near)
     kernel = _exact_bins if points.dtype == torch.float64 else _compact_bins
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
     out = points.new_empty(len(points), FPFH_SIZE)
-    for rows in row_chunks(len(points), near.max_neighbors):
-        votes = neighbor_votes(near.index, near.valid, rows).to(torch.int32)
-        index = near.index[rows]
-        query = Oriented(*(column[rows, None] for column in columns))
+    for part in row_chunks(len(points), near.max_neighbors):
+        votes = neighbor_votes(near.index, near.valid, part).to(torch.int32)
+        index = near.index[part]
+        query = Oriented(*(column[part, None] for column in columns))
         neighbor = Oriented(*(gather(column, index) for column in columns))
         counts = torch.cat([count_votes(bin_, votes, ANGLE_BINS) for bin_ in kernel(query, neighbor)], dim=1)  # (r, 33)
         total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(points.dtype)
-        torch.mul(counts.to(points.dtype), 100 / total, out=out[rows])
+        torch.mul(counts.to(points.dtype), 100 / total, out=out[part])
+    return out
+
+
+def _native_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
+    count, width = near.index.shape
+    out = points.new_empty(count, FPFH_SIZE)
+    columns = points.detach().contiguous(), normals.detach().contiguous(), points.new_tensor(ANGLE_EDGES)
+    call("simplified_histograms_f32", *columns, *rows(near.index), *rows(near.valid), count, width, out)
     return out
 
 

@@ -41,7 +41,8 @@ def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Featu
         values,
         first.offsets,
         tuple(block for item in features for block in item.blocks),
-        valid=torch.stack([item.valid for item in features]).any(dim=0) & (values != 0).any(dim=1),
+        # the largest entry, since ``any`` of a row is several times slower
+        valid=torch.stack([item.valid for item in features]).any(dim=0) & (values.detach().abs().amax(dim=1) != 0),
     )
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.native import call, native, rows
 from torchreg.types import Neighborhoods
 
 
@@ -28,9 +29,7 @@ def inverse_square_weights(sq_distance: Tensor, counted: Tensor) -> Tensor:
     A point lies at distance 0 from itself, so ``counted`` may include it.
     """
     usable = (sq_distance > 0).logical_and_(counted)
-    # far below any distance between points, and sums of reciprocals stay finite
-    least = torch.finfo(sq_distance.dtype).tiny ** 0.75
-    return sq_distance.clamp(min=least).reciprocal_().mul_(usable)
+    return sq_distance.clamp(min=_least(sq_distance)).reciprocal_().mul_(usable)
 
 
 def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
@@ -42,8 +41,8 @@ def weighted_sum(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
     if table.dtype == torch.float32 or index.numel() == 0:
         return embedding_bag(index, table, per_sample_weights=weights, mode="sum")
     parts = []
-    for rows in row_chunks(index.shape[0], index.shape[1] * table.shape[1], 1 << 20):
-        gathered = table[index[rows]] * weights[rows][..., None]  # (r, K, D)
+    for part in row_chunks(index.shape[0], index.shape[1] * table.shape[1], 1 << 20):
+        gathered = table[index[part]] * weights[part][..., None]  # (r, K, D)
         parts.append(gathered.sum(dim=1))
     return torch.cat(parts)
 
@@ -53,14 +52,16 @@ def add_weighted_neighbors(histograms: Tensor, near: Neighborhoods, bins: int, *
 
     ``histograms`` (P, blocks x bins) are in percent; without ``keep_own`` those of the neighbors alone are returned.
     """
+    if _has_kernel(histograms, near):
+        return _native_sums(histograms, near, bins, keep_own)
     out = torch.empty_like(histograms)
-    for rows in row_chunks(len(histograms), near.max_neighbors):
-        weights = inverse_square_weights(near.sq_distance[rows], near.valid[rows]).to(histograms.dtype)
-        blocks = weighted_sum(histograms, near.index[rows], weights).view(-1, histograms.shape[1] // bins, bins)
-        total = blocks.sum(dim=2, keepdim=True)
+    for part in row_chunks(len(histograms), near.max_neighbors):
+        weights = inverse_square_weights(near.sq_distance[part], near.valid[part]).to(histograms.dtype)
+        blocks = weighted_sum(histograms, near.index[part], weights).view(-1, histograms.shape[1] // bins, bins)
+        total = blocks.cumsum(dim=2)[..., -1:]  # one after another, on any processor
         scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
         result = (blocks * scale).view(-1, histograms.shape[1])
-        out[rows] = result + histograms[rows] if keep_own else result
+        out[part] = result + histograms[part] if keep_own else result
     return out
 
 
@@ -68,3 +69,24 @@ def neighbor_votes(index: Tensor, valid: Tensor, rows: slice) -> Tensor:
     """(R, K) bool: the valid slots of these rows that hold another point than the query itself."""
     query = torch.arange(rows.start, rows.stop, device=index.device)[:, None]
     return valid[rows] & (index[rows] != query)
+
+
+def _least(sq_distance: Tensor) -> float:
+    """Far below any squared distance between points, and such that sums of reciprocals stay finite."""
+    return float(torch.finfo(sq_distance.dtype).tiny ** 0.75)
+
+
+def _has_kernel(histograms: Tensor, near: Neighborhoods) -> bool:
+    """Float32 where ``embedding_bag`` adds by fused multiply-adds, as the kernel does."""
+    if histograms.dtype != torch.float32 or near.sq_distance.dtype != torch.float32 or histograms.requires_grad:
+        return False
+    fused = torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512")
+    return fused and native(histograms, near.index, near.valid, near.sq_distance)
+
+
+def _native_sums(histograms: Tensor, near: Neighborhoods, bins: int, keep_own: bool) -> Tensor:
+    histograms, out = histograms.contiguous(), torch.empty_like(histograms, memory_format=torch.contiguous_format)
+    slots = *rows(near.index), *rows(near.valid), *rows(near.sq_distance)
+    sizes = len(histograms), near.max_neighbors, histograms.shape[1], bins
+    call("add_weighted_neighbors_f32", histograms, *slots, *sizes, int(keep_own), _least(near.sq_distance), out)
+    return out

@@ -38,7 +38,7 @@ ANGLE_BINS = 11
 
 # f1 falls on one side of the edge phi between two bins as C / (|S| + |C|) falls on one side of this number,
 # where (C, S) points in the direction f1: a monotone stand-in for the angle, made of basic operations.
-_EDGES = tuple(
+ANGLE_EDGES = tuple(
     math.cos(phi) / (abs(math.sin(phi)) + abs(math.cos(phi)))
     for phi in (math.pi * odd / ANGLE_BINS for odd in range(1, ANGLE_BINS, 2))
 )
@@ -111,19 +111,20 @@ def compact_pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
     sign = 1 - 2 * swap
 
     vx, vy, vz = (dy * nz).sub_(dz * ny), (dz * nx).sub_(dx * nz), (dx * ny).sub_(dy * nx)
-    across = _dot((vx, vy, vz), (vx, vy, vz)).sqrt_()
-    length = _dot((dx, dy, dz), (dx, dy, dz)).sqrt_()
-    proper = across.clone().gt_(0)
+    per_across = _dot((vx, vy, vz), (vx, vy, vz))
+    per_length = _dot((dx, dy, dz), (dx, dy, dz))
+    proper = per_across.clone().gt_(0)
     degenerate = 1 - proper
-    across += degenerate
-    length += degenerate
+    # reciprocal roots: torch's square root on the CPU is not the nearest number, and they cost no division below
+    per_across.add_(degenerate).rsqrt_().mul_(proper)
+    per_length.add_(degenerate).rsqrt_().mul_(proper)
     square, turn = _dot((nx, ny, nz), (nx, ny, nz)), _dot((nx, ny, nz), (gx, gy, gz))  # n.n, n.g
     sine = (square * change).sub_(along * turn)
     return PairFeatures(
         cosine=turn.mul_(sign).add_(square).mul_(proper).add_(degenerate),
-        sine=sine.div_(across).mul_(proper),
-        f2=_dot((vx, vy, vz), (gx, gy, gz)).div_(across).mul_(proper),
-        f3=along.mul_(sign).div_(length).mul_(proper),
+        sine=sine.mul_(per_across),
+        f2=_dot((vx, vy, vz), (gx, gy, gz)).mul_(per_across),
+        f3=along.mul_(sign).mul_(per_length),
     )
 
 
@@ -131,7 +132,7 @@ def angle_bins(cosine: Tensor, sine: Tensor) -> Tensor:
     """Bin 0..10 (int64) of the angle atan2(sine, cosine) in 11 equal bins over (-pi, pi]; (0, 0) is angle 0."""
     ratio = cosine / (sine.abs() + cosine.abs())
     passed = torch.zeros_like(ratio)
-    for edge in _EDGES:
+    for edge in ANGLE_EDGES:
         passed += ratio.clone().lt_(edge)
     return torch.copysign(passed, sine).add_(ANGLE_BINS // 2).long()
 

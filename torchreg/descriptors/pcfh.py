@@ -20,13 +20,14 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
-from torchreg.descriptors.descriptor import Descriptor
+from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
 from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
+from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 
 CHANNELS = ("hue", "saturation", "value")
@@ -93,9 +94,6 @@ def pcfh(
     expect_shape(values, "values", (len(cloud.points), 3), "floating")
     expect_finite(values, "values")
     if binning == "hard":
-        reads = near.index.device.type == "cpu" and not torch.compiler.is_compiling()
-        if reads and values.dtype == torch.float32:  # float64 sums by another code
-            near = near.trimmed()
         hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
         out = add_weighted_neighbors(hhd, near, bins).mul_(enough[:, None])
     else:
@@ -111,7 +109,7 @@ def pcfh(
             edges=bin_edges(edges, len(channels), bins, values),
             neighbor_weights=slot_weights(neighbor_weights, near, values),
         )
-    return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=(out != 0).any(dim=1))
+    return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=largest_entries(out) != 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,23 +194,39 @@ def _own_histograms(
     values: Tensor, near: Neighborhoods, bins: int, channels: tuple[str, ...], saturation_weighting: bool
 ) -> tuple[Tensor, Tensor]:
     """Eq. (3): (P, bins x channels) in percent, and (P,) whether a point had enough neighbors."""
+    if values.dtype == torch.float32 and native(values, near.index, near.valid):
+        return _native_histograms(values, near, bins, channels, saturation_weighting)
     columns = {name: values[:, CHANNELS.index(name)].contiguous() for name in (*channels, "saturation")}
     out = values.new_empty(len(values), bins * len(channels))
     enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
-    for rows in row_chunks(len(values), near.max_neighbors):
-        index = near.index[rows]
-        ones = neighbor_votes(near.index, near.valid, rows).to(torch.int32)
-        enough[rows] = ones.sum(dim=1) >= MIN_NEIGHBORS
+    for part in row_chunks(len(values), near.max_neighbors):
+        index = near.index[part]
+        ones = neighbor_votes(near.index, near.valid, part).to(torch.int32)
+        enough[part] = ones.sum(dim=1) >= MIN_NEIGHBORS
         for place, channel in enumerate(channels):
             column = columns[channel]
             votes = ones
             if channel == "hue" and saturation_weighting:
                 saturation = columns["saturation"]
-                product = gather(saturation, index) * saturation[rows, None]
+                product = gather(saturation, index) * saturation[part, None]
                 votes = (product * _VOTE_STEPS).round_().to(torch.int32) * ones
-            bin_ = difference_bins(column[rows, None], gather(column, index), bins, circular=channel == "hue")
+            bin_ = difference_bins(column[part, None], gather(column, index), bins, circular=channel == "hue")
             counts = count_votes(bin_, votes, bins).to(values.dtype)
             total = votes.sum(dim=1, keepdim=True).clamp_(min=1).to(values.dtype)
-            out[rows, place * bins : (place + 1) * bins] = counts * (100 / total)
+            out[part, place * bins : (place + 1) * bins] = counts * (100 / total)
     out *= enough[:, None]
+    return out, enough
+
+
+def _native_histograms(
+    values: Tensor, near: Neighborhoods, bins: int, channels: tuple[str, ...], saturation_weighting: bool
+) -> tuple[Tensor, Tensor]:
+    count, width = near.index.shape
+    places = torch.tensor([CHANNELS.index(name) for name in channels])
+    out = values.new_empty(count, bins * len(channels))
+    enough = torch.empty(count, dtype=torch.bool)
+    slots = *rows(near.index), *rows(near.valid)
+    sizes = count, width, bins, MIN_NEIGHBORS
+    asked = values.detach().contiguous(), places, len(places), int(saturation_weighting)
+    call("color_histograms_f32", *asked, *slots, *sizes, out, enough)
     return out, enough

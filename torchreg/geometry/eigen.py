@@ -20,9 +20,12 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.native import call, native
 
 _SWEEPS = 6
 _PAIRS = ((0, 1), (0, 2), (1, 2))
+
+_KERNELS = {torch.float64: "symmetric_eigen_f64", torch.float32: "symmetric_eigen_f32"}
 
 _CLOSED_GAP = 1e-12
 """Relative to the largest eigenvalue: points on a line in float32 spread about 1e-14 across it by their rounding."""
@@ -36,6 +39,8 @@ def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """
     expect(matrix.shape[-2:] == (3, 3), "matrix", "(..., 3, 3)", matrix)
     matrix = matrix.detach()
+    if matrix.dtype in _KERNELS and native(matrix):
+        return _native_eigen(matrix)
     a = {(i, j): matrix[..., i, j] for i in range(3) for j in range(i, 3)}
     one, zero = torch.ones_like(a[0, 0]), torch.zeros_like(a[0, 0])
     v = [[one if i == j else zero for j in range(3)] for i in range(3)]
@@ -70,15 +75,25 @@ def least_eigenvector(matrix: Tensor, values: Tensor, vectors: Tensor) -> Tensor
     return vector / (1 + (a * a).sum(dim=-1, keepdim=True)).sqrt()
 
 
+def _native_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    matrix = matrix.contiguous()
+    values, vectors = matrix.new_empty(matrix.shape[:-1]), torch.empty_like(matrix)
+    call(_KERNELS[matrix.dtype], matrix, matrix.numel() // 9, values, vectors)
+    return values, vectors
+
+
 def _rotate(a: dict[tuple[int, int], Tensor], v: list[list[Tensor]], p: int, q: int) -> None:
     """Zero the entry (p, q) by one rotation, in place in the two containers."""
     app, aqq, apq = a[p, p], a[q, q], a[p, q]
     zero = apq == 0
     theta = (aqq - app) / torch.where(zero, torch.ones_like(apq), apq + apq)
-    # theta overflows to infinity when apq is tiny: then t = 0, as it should be
-    t = torch.copysign(1 / (theta.abs() + (theta * theta + 1).sqrt()), theta)
+    # theta^2 overflows to infinity when apq is tiny: then t = 0, as it should be
+    # 1 / (|theta| + sqrt(theta^2 + 1)), by reciprocal roots: torch's square root on the CPU is not the nearest number
+    theta = theta.clamp(-torch.finfo(theta.dtype).max, torch.finfo(theta.dtype).max)
+    per_root = (theta * theta + 1).rsqrt()
+    t = torch.copysign(per_root / (theta.abs() * per_root + 1), theta)
     t = torch.where(zero, torch.zeros_like(t), t)
-    c = 1 / (t * t + 1).sqrt()
+    c = (t * t + 1).rsqrt()
     s = t * c
     a[p, p], a[q, q], a[p, q] = app - t * apq, aqq + t * apq, torch.zeros_like(apq)
     r = 3 - p - q

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchreg.errors import at_least, expect, fraction
 from torchreg.matching.nearest import FeatureNearest, feature_nearest, lexicographic, rank
+from torchreg.matching.shadows import compiled, shadowed, shadows_nearest
 from torchreg.types import Correspondences, Features
 from torchreg.types.packing import offsets_of, spans
 
@@ -82,6 +83,15 @@ def _match_pair(
     left, right = source.values.index_select(0, of_source), target.values.index_select(0, of_target)
     if len(left) == 0 or len(right) == 0:
         return of_source[:0], of_target[:0], left.new_zeros(0)
+    judge = _by_shadows if compiled(left, right) else _by_products
+    i, j, distance = judge(left, right, ratio, neighbors)
+    order = lexicographic(j, i)
+    i, j = i[order], j[order]
+    return of_source[i], of_target[j], distance[order].to(left.dtype)
+
+
+def _by_products(left: Tensor, right: Tensor, ratio: float | None, neighbors: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Rows of mutual pairs and their distances, in any order; the product forth decides most of them."""
     forth = feature_nearest(left, right, neighbors if ratio is None else 2)
     pairs = candidate_pairs(forth, neighbors)
     mutual, undecided = pairs.mutual, pairs.undecided
@@ -94,10 +104,30 @@ def _match_pair(
         wanted, number = pairs.target[doubtful].unique(return_inverse=True)
         back = feature_nearest(right[wanted], left, neighbors).row[number]
         mutual[doubtful] = (back == pairs.source[doubtful, None]).any(dim=1)
-    i, j = pairs.source[mutual], pairs.target[mutual]
-    order = lexicographic(j, i)
-    i, j = i[order], j[order]
-    return of_source[i], of_target[j], pairs.distance[mutual][order].to(left.dtype)
+    return pairs.source[mutual], pairs.target[mutual], pairs.distance[mutual]
+
+
+def _by_shadows(left: Tensor, right: Tensor, ratio: float | None, neighbors: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The same by compiled kernels: back from every target that was found, no farther than it was found from."""
+    both = shadowed(left, right)
+    row, distance = shadows_nearest(both.source, both.target, both, neighbors if ratio is None else 2)
+    if ratio is not None and row.shape[1] > 1:
+        i = (distance[:, 0] < ratio * distance[:, 1]).nonzero()[:, 0]
+        j, distance = row[i, 0], distance[i, 0]
+    else:
+        i = torch.arange(len(row))[:, None].expand_as(row).flatten()
+        j, distance = row.flatten(), distance.flatten()
+    if len(i) == 0:
+        return i, j, distance
+    order = lexicographic(distance, j)
+    i, j, distance = i[order], j[order], distance[order]
+    place = rank(j)
+    first, last = place == 0, place == neighbors - 1
+    number = first.cumsum(0) - 1
+    bound = distance.new_full((int(number[-1]) + 1,), float("inf")).scatter_(0, number[last], distance[last])
+    back, _ = shadows_nearest(both.target.at(j[first]), both.source, both, neighbors, bound)
+    mutual = (back[number] == i[:, None]).any(dim=1)
+    return i[mutual], j[mutual], distance[mutual]
 
 
 def _usable(features: Features, begin: int, end: int) -> Tensor:

@@ -145,7 +145,7 @@ def _farthest(points: Tensor, count: int) -> Tensor:
     nearest.fill_(float("inf"))
     for step in range(count):
         chosen[step] = current
-        cx, cy, cz = x[current], y[current], z[current]
+        cx, cy, cz = (column.index_select(0, current[None]) for column in (x, y, z))  # (1,); x[current] waits for a GPU
         distance = (x - cx).square_().add_((y - cy).square_()).add_((z - cz).square_())
         torch.minimum(nearest, distance, out=nearest)
         current = nearest.argmax()

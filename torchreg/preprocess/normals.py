@@ -17,6 +17,8 @@ from torchreg.errors import expect
 from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
 from torchreg.geometry.numerics.derivatives import derivative_wanted
+from torchreg.geometry.numerics.interleaved import interleaved_sum
+from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 
@@ -49,42 +51,62 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
         expect(viewpoint.shape in ((3,), (len(cloud), 3)), "viewpoint", f"(3,) or ({len(cloud)}, 3)", viewpoint)
         viewpoint = viewpoint.expand(len(cloud), 3)
     towards = _facing(cloud, cloud.viewpoint if viewpoint is None else viewpoint)
+    wanted = derivative_wanted(cloud.points, towards)
+    if not wanted and cloud.points.dtype in _KERNELS and native(cloud.points, towards, near.index, near.valid):
+        return replace(cloud, normals=_native_normals(cloud.points, towards, near))
     x, y, z = (column.contiguous() for column in cloud.points.unbind(1))
     chunks = list(row_chunks(len(cloud.points), near.max_neighbors))
-    if not derivative_wanted(cloud.points, towards):
+    if not wanted:
         normals = torch.empty_like(cloud.points)
-        for rows in chunks:
-            normals[rows] = _oriented(x, y, z, towards[rows], near, rows)
+        for part in chunks:
+            normals[part] = _oriented(x, y, z, towards[part], near, part)
     elif len(chunks) == 1:
         normals = _oriented(x, y, z, towards, near, chunks[0])
     else:
         parts = [
-            checkpoint(_oriented, x, y, z, towards[rows], near, rows, use_reentrant=False, preserve_rng_state=False)
-            for rows in chunks
+            checkpoint(_oriented, x, y, z, towards[part], near, part, use_reentrant=False, preserve_rng_state=False)
+            for part in chunks
         ]
         normals = torch.cat(parts) if parts else cloud.points
     return replace(cloud, normals=normals.to(cloud.points.dtype))
 
 
-def _oriented(x: Tensor, y: Tensor, z: Tensor, towards: Tensor, near: Neighborhoods, rows: slice) -> Tensor:
+_KERNELS = {torch.float32: "normals_f32", torch.float64: "normals_f64"}
+
+
+def _native_normals(points: Tensor, towards: Tensor, near: Neighborhoods) -> Tensor:
+    """Normals (P, 3) as ``_oriented`` computes them, in the dtype of the points."""
+    points = points.detach().contiguous()
+    out = torch.empty_like(points)
+    slots, sizes = (*rows(near.index), *rows(near.valid)), (len(points), near.max_neighbors)
+    call(_KERNELS[points.dtype], points, towards.detach().contiguous(), *slots, *sizes, out)
+    return out
+
+
+def _oriented(x: Tensor, y: Tensor, z: Tensor, towards: Tensor, near: Neighborhoods, part: slice) -> Tensor:
     """Normals (r, 3) float64 of some rows, turned to face ``towards`` (r, 3)."""
-    covariance, count = _covariance(x, y, z, near, rows)
+    covariance, count = _covariance(x, y, z, near, part)
     values, vectors = symmetric_eigen(covariance)
     normal = vectors[..., 0]  # (r, 3): least spread
     if derivative_wanted(covariance):
         normal = least_eigenvector(covariance, values, vectors)
-    spread = torch.diagonal(covariance, dim1=-2, dim2=-1).sum(dim=-1)
+    spread = _sum_of_three(torch.diagonal(covariance, dim1=-2, dim2=-1))
     flat = ((count >= 3) & (spread > 0))[:, None]
     normal = torch.where(flat, normal, unit(towards))
-    facing = (normal * towards).sum(dim=1, keepdim=True)
+    facing = _sum_of_three(normal * towards)[:, None]
     return torch.where(facing < 0, -normal, normal)
 
 
 def unit(vectors: Tensor) -> Tensor:
     """Vectors (P, 3) of unit length; (0, 0, 1) for zero vectors."""
-    square = (vectors * vectors).sum(dim=1, keepdim=True)
+    square = _sum_of_three(vectors * vectors)[:, None]
     up = vectors.new_tensor([0.0, 0.0, 1.0])
-    return torch.where(square > 0, vectors / torch.where(square > 0, square, torch.ones_like(square)).sqrt(), up)
+    return torch.where(square > 0, vectors * torch.where(square > 0, square, torch.ones_like(square)).rsqrt(), up)
+
+
+def _sum_of_three(values: Tensor) -> Tensor:
+    """Sums (...) of values (..., 3), in their order."""
+    return values[..., 0] + values[..., 1] + values[..., 2]
 
 
 def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
@@ -102,17 +124,17 @@ def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
     return out
 
 
-def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, rows: slice) -> tuple[Tensor, Tensor]:
+def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, part: slice) -> tuple[Tensor, Tensor]:
     """Covariance (r, 3, 3) float64 of the valid neighbors, and their number (r,)."""
-    index, valid = near.index[rows], near.valid[rows]
+    index, valid = near.index[part], near.valid[part]
     count = valid.sum(dim=1)
     share = 1 / count.clamp(min=1).double()
     weight = valid.double()
-    offset = [((column[index] - column[rows, None]) * weight) for column in (x, y, z)]
-    mean = [part.sum(dim=1) * share for part in offset]
+    offset = [((column[index] - column[part, None]) * weight) for column in (x, y, z)]
+    mean = [interleaved_sum(axis) * share for axis in offset]
 
     def moment(i: int, j: int) -> Tensor:
-        return (offset[i] * offset[j]).sum(dim=1) * share - mean[i] * mean[j]
+        return interleaved_sum(offset[i] * offset[j]) * share - mean[i] * mean[j]
 
     entries = {(i, j): moment(i, j) for i in range(3) for j in range(i, 3)}
     lines = [torch.stack([entries[min(i, j), max(i, j)] for j in range(3)], dim=-1) for i in range(3)]

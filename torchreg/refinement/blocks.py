@@ -39,7 +39,7 @@ class Blocks:
         return Blocks(_numbers(counts, device), real.view(-1, BLOCK), counts)
 
     def fill(self, values: Tensor) -> Tensor:
-        """ResidualSpread packed values (P, C) over the blocks: (C, n, 256) float64, zero where rows only fill up."""
+        """Packed values (P, C) spread over the blocks: (C, n, 256) float64, zero where rows only fill up."""
         out = values.new_zeros(values.shape[1], self.real.numel(), dtype=torch.float64)
         out[:, self.real.view(-1)] = values.t().double()
         return out.view(values.shape[1], *self.real.shape)
@@ -62,7 +62,7 @@ class Blocks:
         """Sums (B, C) over the rows of every pair of ``terms(chunk)`` (C, k, 256), float64."""
         partial = torch.zeros(channels, len(self.pair), dtype=torch.float64, device=self.pair.device)
         for chunk in self.chunks():
-            torch.sum(terms(chunk), dim=2, out=partial[:, chunk])
+            partial[:, chunk] = _halved(terms(chunk))
         widest = 1 << (max(self.counts) - 1).bit_length()
         padded = partial.new_zeros(channels, len(self.counts), widest)
         first = torch.tensor((0, *self.counts[:-1]), device=self.pair.device).cumsum(0)
@@ -71,6 +71,14 @@ class Blocks:
         while padded.shape[2] > 1:  # neighbors are added first: more zeros behind change nothing
             padded = padded[:, :, 0::2] + padded[:, :, 1::2]
         return padded[:, :, 0].t()  # (B, C)
+
+
+def _halved(values: Tensor) -> Tensor:
+    """Sums (...) of values (..., 256): the later half is added to the earlier one until one number is left."""
+    while values.shape[-1] > 1:
+        half = values.shape[-1] // 2
+        values = values[..., :half] + values[..., half:]
+    return values[..., 0]
 
 
 def dot(left: Tensor, right: Tensor) -> Tensor:

@@ -224,8 +224,10 @@ def _inverse(matrix: Tensor) -> Tensor:
 
 def _cell_sums(points: Tensor, values: Tensor, edge: float) -> Tensor:
     """Sums (C, K) of values (K, N) over cubes of points (3, N), in a fixed order."""
-    corner = torch.floor(points / edge).long().t()
-    _, cell = corner.unique(dim=0, return_inverse=True)
+    corner = torch.floor(points / edge).long()
+    corner -= corner.amin(dim=1, keepdim=True)
+    x, y, z = corner.unbind(0)
+    _, cell = ((x * (y.amax() + 1) + y) * (z.amax() + 1) + z).unique(return_inverse=True)
     order = cell.argsort(stable=True)
     ends = torch.bincount(cell).cumsum(0) - 1
     running = values[:, order].cumsum(dim=1)[:, ends]

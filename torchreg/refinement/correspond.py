@@ -17,9 +17,11 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather_columns
+from torchreg.neighborhoods.kd_tree import fits_tree
 from torchreg.neighborhoods.open3d_search import Tree
 from torchreg.neighborhoods.point_index import nearest_of_all
 from torchreg.refinement.blocks import BLOCK, Blocks
+from torchreg.refinement.tree_search import TreeSearch
 
 FEW = 4
 """Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few searches are repeated."""
@@ -47,23 +49,33 @@ class Correspondence:
     Attributes:
         blocks: n blocks of the active pairs, those still being refined.
         pairs: the numbers of the active pairs in the batch.
+        source: (3, n, 256), source points about their centers.
+        target: the target points of the whole batch.
+        max_distance: (B,) meters, of the active pairs.
         moved: (3, n, 256), source points in the targets' frames.
         partner: (A, n, 256), the target's values at their nearest points.
-        square: (n, 256) squared meters between them. Beyond the largest distance, partners are any that are
-            beyond it.
+        square: (n, 256) squared meters between them; any finite numbers where rows are not inside, and partners too.
         inside: (n, 256) bool, nearer than the largest distance.
     """
 
+    _by_axis: tuple[str, ...] = ("source", "moved", "partner", "_decided_at", "_searched_at")
+    _by_row: tuple[str, ...] = ("square", "inside", "_nearest", "_second", "_few", "_others")
+
     def __init__(self, blocks: Blocks, source: Tensor, target: Target, max_distance: Tensor) -> None:
         """No correspondences yet; source (3, n, 256) about its centers, ``max_distance`` (B,) meters."""
-        self.blocks, self._target = blocks, target
+        self.blocks, self.target = blocks, target
         self.pairs = list(range(len(blocks.counts)))
-        shape, never = source.shape[1:], -torch.inf
-        self._source, self._max_distance = source, max_distance
+        shape = source.shape[1:]
+        self.source, self.max_distance = source, max_distance
         self.moved = torch.zeros_like(source)
         self.partner = source.new_zeros(len(target.values), *shape)
         self.square = source.new_zeros(shape)
         self.inside = torch.zeros(shape, dtype=torch.bool, device=source.device)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing has been searched."""
+        source, shape, never = self.source, self.square.shape, -torch.inf
         # when the partner was last decided: where, and bounds from below on the two least distances
         self._decided_at = torch.zeros_like(source)
         self._nearest, self._second = source.new_full(shape, never), source.new_full(shape, never)
@@ -77,25 +89,25 @@ class Correspondence:
         """Keep these of the active pairs, by their places among them; returns the numbers of the blocks that stay."""
         self.blocks, chosen = self.blocks.keep(which)
         self.pairs = [self.pairs[b] for b in which]
-        self._max_distance = self._max_distance[which]
-        for name in ("_source", "moved", "partner", "_decided_at", "_searched_at"):
+        self.max_distance = self.max_distance[which]
+        for name in self._by_axis:
             setattr(self, name, getattr(self, name).index_select(1, chosen))
-        for name in ("square", "inside", "_nearest", "_second", "_few", "_others"):
+        for name in self._by_row:
             setattr(self, name, getattr(self, name).index_select(0, chosen))
         return chosen
 
     def narrow(self, max_distance: Tensor) -> None:
         """Lower the largest distances of the active pairs, (B,) meters."""
-        self._max_distance = max_distance
+        self.max_distance = max_distance
 
     def move(self, rotation: Tensor, translation: Tensor) -> None:
         """Update the correspondences to R (B, 3, 3) and t (B, 3) of the active pairs."""
-        limit = self._max_distance[self.blocks.pair][:, None]  # (n, 1)
+        limit = self.max_distance[self.blocks.pair][:, None]  # (n, 1)
         R, t = rotation[self.blocks.pair, :, :, None], translation[self.blocks.pair, :, None]
         pending = torch.empty_like(self.inside)
         for chunk in self.blocks.chunks():
             moved = self.moved[:, chunk]  # (3, k, 256), written in place
-            _transform(self._source[:, chunk], R[chunk], t[chunk], moved)
+            _transform(self.source[:, chunk], R[chunk], t[chunk], moved)
             square = _square(moved, self.partner[:3, chunk])
             step = _square(moved, self._decided_at[:, chunk]).sqrt_()
             first, second = square.sqrt(), self._second[chunk] - step
@@ -127,7 +139,7 @@ class Correspondence:
         few = rows.new_zeros(len(rows), FEW)
         full = torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
         begin = 0
-        for end, search, first in _runs(self._target, self.pairs, cuts):
+        for end, search, first in _runs(self.target, self.pairs, cuts):
             if end > begin:
                 nearest = search(queries[begin:end])
                 width = nearest.shape[1]
@@ -141,8 +153,9 @@ class Correspondence:
 
     def _store(self, rows: Tensor, points: Tensor, few: Tensor, full: Tensor) -> None:
         """Store the results ``few`` of a search for the rows (Q,) at points (3, Q); the last one bounds all others."""
-        last = _square(points, gather_columns(self._target.values[:3], few[:, -1])).sqrt_()
+        last = _square(points, gather_columns(self.target.values[:3], few[:, -1])).sqrt_()
         others = torch.where(full, last, torch.inf)
+        few = few.sort(dim=1).values  # of equally near points the lower row counts
         self._decide(rows, points, few, others)
         self._few.view(-1, FEW).index_copy_(0, rows, few)
         self._others.view(-1).index_copy_(0, rows, others)
@@ -150,12 +163,12 @@ class Correspondence:
 
     def _decide(self, rows: Tensor, points: Tensor, few: Tensor, others: Tensor) -> Tensor:
         """Store the nearest of ``few`` (Q, FEW) to points (3, Q), where all others are ``others`` (Q,) or more away."""
-        square = _square(points[:, :, None], gather_columns(self._target.values[:3], few))  # (Q, FEW)
+        square = _square(points[:, :, None], gather_columns(self.target.values[:3], few))  # (Q, FEW)
         nearest, place = square.min(dim=1)
         chosen = few.gather(1, place[:, None])
         second = square.masked_fill_(few == chosen, torch.inf).amin(dim=1).sqrt_()
         first = nearest.sqrt()
-        _scatter(self.partner, rows, gather_columns(self._target.values, chosen[:, 0]))
+        _scatter(self.partner, rows, gather_columns(self.target.values, chosen[:, 0]))
         _scatter(self._decided_at, rows, points)
         self.square.view(-1).index_copy_(0, rows, nearest)
         self._nearest.view(-1).index_copy_(0, rows, torch.minimum(first, others))
@@ -187,18 +200,20 @@ def _transform(source: Tensor, R: Tensor, t: Tensor, out: Tensor) -> None:
     """R (k, 3, 3, 1) source (3, k, 256) + t (k, 3, 1), into ``out``."""
     x, y, z = source.unbind(0)
     for i in range(3):
-        torch.addcmul(t[:, i], x, R[:, i, 0], out=out[i])
-        out[i].addcmul_(y, R[:, i, 1]).addcmul_(z, R[:, i, 2])
+        torch.add(t[:, i], x * R[:, i, 0], out=out[i])
+        out[i].add_(y * R[:, i, 1]).add_(z * R[:, i, 2])
 
 
 def _square(left: Tensor, right: Tensor) -> Tensor:
     """Squared distances between (3, ...) and (3, ...)."""
     x, y, z = (left - right).unbind(0)
-    return x.mul_(x).addcmul_(y, y).addcmul_(z, z)
+    return x.mul_(x).add_(y.mul_(y)).add_(z.mul_(z))
 
 
 def few_nearest(points: Tensor) -> Search:
-    """The search in ``points`` (N, 3) float64, N > 0: by Open3D's tree on the CPU, by comparing all pairs elsewhere."""
+    """The search in ``points`` (N, 3) float64, N > 0: by a tree on the CPU, by comparing all pairs elsewhere."""
+    if fits_tree(points):
+        return TreeSearch(points, FEW)
     if points.device.type == "cpu":
         tree = Tree(points)
         return lambda queries: tree.nearest(queries, FEW)

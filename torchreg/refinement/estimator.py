@@ -41,11 +41,13 @@ class Estimator(NamedTuple):
         channels: C.
         terms: from matched rows to (C, k, 256); rows that are not inside give zeros.
         solve: from the sums (B, C) over every pair's rows, and the target's centers (B, 3), to the update.
+        compiled: the name of the kernel that iterates with these terms, empty where there is none.
     """
 
     channels: int
     terms: Callable[[MatchedBlocks], Tensor]
     solve: Callable[[Tensor, Tensor], Update]
+    compiled: str = ""
 
 
 class IcpKind(NamedTuple):

@@ -7,10 +7,12 @@ import math
 import torch
 from torch import Tensor
 
+from torchreg.geometry.se3 import apply_rotation
+from torchreg.native import call, native
 from torchreg.refinement.estimator import Update
 
 CHANNELS = 28  # the upper triangle of the 7 x 7 products of (J, r)
-_RANK = 1e-10  # of the least to the largest eigenvalue, unknowns scaled alike: below it the motion is not determined
+_RANK = 1e-10  # of a pivot to its value without the unknowns before: below it the motion is open
 
 
 def products(rows: Tensor, weight: Tensor, onto: Tensor | None = None) -> Tensor:
@@ -25,7 +27,7 @@ def products(rows: Tensor, weight: Tensor, onto: Tensor | None = None) -> Tensor
         if onto is None:
             torch.mul(rows[i:], rows[i] * weight, out=part)
         else:
-            part.addcmul_(rows[i:], rows[i] * weight)
+            part.add_(rows[i:] * (rows[i] * weight))
         begin += 7 - i
     return out
 
@@ -37,24 +39,58 @@ def solve(sums: Tensor, center: Tensor) -> Update:
     makes it, R = Rz Ry Rx of the three angles about the zero of the target's points, from which the center counts, so
     that iterates agree.
     """
+    sums, center = sums.contiguous(), center.contiguous()
+    return _solve_compiled(sums, center) if native(sums, center) else _solve(sums, center)
+
+
+def _solve_compiled(sums: Tensor, center: Tensor) -> Update:
+    rotation, usable = sums.new_empty(len(sums), 3, 3), torch.empty(len(sums), dtype=torch.bool)
+    translation = torch.empty_like(center)
+    call("gauss_newton", sums, center, len(sums), rotation, translation, usable)
+    return Update(rotation, translation, usable)
+
+
+def _solve(sums: Tensor, center: Tensor) -> Update:
     finite = torch.isfinite(sums).all(dim=1)
-    upper = sums.new_zeros(len(sums), 7, 7)
+    rows = sums.new_zeros(len(sums), 7, 7)
     i, j = torch.triu_indices(7, 7, device=sums.device)
-    upper[:, i, j] = torch.where(finite[:, None], sums, torch.zeros_like(sums))
-    normal = upper[:, :6, :6] + upper[:, :6, :6].triu(1).transpose(1, 2)  # (B, 6, 6)
-    right = upper[:, :6, 6]
-    diagonal = torch.diagonal(normal, dim1=1, dim2=2)
+    rows[:, i, j] = rows[:, j, i] = torch.where(finite[:, None], sums, torch.zeros_like(sums))
+    diagonal = torch.diagonal(rows, dim1=1, dim2=2)[:, :6]
     positive = diagonal > 0
-    scale = torch.where(positive, 1 / torch.where(positive, diagonal, 1.0).sqrt(), torch.zeros_like(diagonal))
-    values, vectors = torch.linalg.eigh(scale[:, :, None] * normal * scale[:, None, :])
-    usable = finite & positive.all(dim=1) & (values[:, 0] > _RANK * values[:, 5])
-    along = (vectors * (scale * right)[:, :, None]).sum(dim=1)  # (B, 6)
-    along = torch.where(usable[:, None], along / torch.where(usable[:, None], values, 1.0), torch.zeros_like(along))
-    x = -scale * (vectors * along[:, None, :]).sum(dim=2)  # (B, 6)
+    scale = torch.where(positive, torch.where(positive, diagonal, 1.0).rsqrt(), torch.zeros_like(diagonal))
+    across = torch.cat([scale, torch.ones_like(scale[:, :1])], dim=1)
+    solution, determined = _eliminated(scale[:, :, None] * rows[:, :6] * across[:, None, :])
+    x = -scale * solution  # (B, 6)
     turn, shift = x[:, :3], x[:, 3:]
     rotation = rotation_zyx(turn)
-    carried = (rotation * center[:, None, :]).sum(dim=2) - center - torch.linalg.cross(turn, center)
-    return Update(rotation, shift + carried, usable)
+    carried = apply_rotation(rotation, center) - center - _cross(turn, center)
+    return Update(rotation, shift + carried, finite & determined)
+
+
+def _eliminated(system: Tensor) -> tuple[Tensor, Tensor]:
+    """The solutions (B, 6) of symmetric systems (B, 6, 7), right sides last, and where a pivot is not too small (B,).
+
+    The diagonal is one, so that no row needs to change places. A least eigenvalue is at most the least pivot.
+    """
+    determined = torch.ones_like(system[:, 0, 0], dtype=torch.bool)
+    pivots = []
+    for k in range(6):
+        held = system[:, k, k] > _RANK
+        determined = determined & held
+        pivots.append(torch.where(held, system[:, k, k], 1.0)[:, None])
+        factor = system[:, k + 1 :, k] / pivots[k]  # (B, 5 - k)
+        system[:, k + 1 :, k + 1 :] -= factor[:, :, None] * system[:, k, None, k + 1 :]
+    right = system[:, :, 6]
+    for k in reversed(range(6)):
+        right[:, k, None] /= pivots[k]
+        right[:, :k] -= system[:, :k, k] * right[:, k, None]
+    return torch.where(determined[:, None], right, torch.zeros_like(right)), determined
+
+
+def _cross(left: Tensor, right: Tensor) -> Tensor:
+    """Cross products (B, 3), each operation rounded."""
+    (a, b, c), (x, y, z) = left.unbind(1), right.unbind(1)
+    return torch.stack([b * z - c * y, c * x - a * z, a * y - b * x], dim=1)
 
 
 def rotation_zyx(angles: Tensor) -> Tensor:

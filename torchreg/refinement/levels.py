@@ -12,11 +12,12 @@ from torch import Tensor
 from torchreg.geometry.morton import morton_order
 from torchreg.preprocess import voxel_downsample
 from torchreg.refinement.blocks import Blocks
-from torchreg.refinement.correspond import Correspondence, Search, Target, few_nearest
+from torchreg.refinement.correspond import Search, Target, few_nearest
 from torchreg.refinement.kernels import KERNELS, least_squares
 from torchreg.refinement.loop import ActivePairs, Criteria, State, iterate
 from torchreg.refinement.options import KINDS, IcpLevel, IcpOptions
 from torchreg.refinement.pairing import Frames, Pairing, among, numbered
+from torchreg.refinement.tree_correspond import correspondences
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
@@ -98,7 +99,7 @@ def _run(
     searched = Target(
         values.t().contiguous(), tuple(first[b] for b in of_target), tuple(clouds.search[b] for b in of_target)
     )
-    matches = Correspondence(blocks, blocks.fill(clouds.source.points[rows]), searched, criteria.max_distance)
+    matches = correspondences(blocks, blocks.fill(clouds.source.points[rows]), searched, criteria.max_distance)
     active = ActivePairs(matches, blocks.fill(extra[rows]), numbers(lengths))
     iterate(active, frames.target_center, estimator, criteria, state)
 

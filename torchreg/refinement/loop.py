@@ -12,12 +12,18 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.roots import square_root
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.native import call, native
 from torchreg.refinement.correspond import Correspondence
 from torchreg.refinement.estimator import Estimator, MatchedBlocks
+from torchreg.refinement.tree_search import addresses
+from torchreg.types.packing import offsets_of
 
 NO_CORRESPONDENCES = "no correspondences: no source point has a target point nearer than max_distance"
 OPEN_MOTION = "the correspondences leave the motion open: too few, or all on a line, a plane or the like"
+_OUTCOMES = ((False, ""), (True, ""), (False, NO_CORRESPONDENCES), (False, OPEN_MOTION))
+"""Whether a pair converged and why it failed, by the numbers of compiled kernels."""
 
 
 class Criteria(NamedTuple):
@@ -81,11 +87,12 @@ class ActivePairs:
     Attributes:
         matches: their correspondences.
         extra: (E, n, 256), what the estimator reads of source points beside their positions.
+        lengths: (B,) float64, the numbers of source points of all pairs of the batch.
     """
 
     def __init__(self, matches: Correspondence, extra: Tensor, lengths: Tensor) -> None:
         """All pairs are active; their sources have ``lengths`` (B,) points."""
-        self.matches, self.extra, self._lengths = matches, extra, lengths
+        self.matches, self.extra, self.lengths = matches, extra, lengths
 
     @property
     def pairs(self) -> list[int]:
@@ -107,7 +114,7 @@ class ActivePairs:
             return torch.stack([inside, inside * matches.square[chunk]])
 
         count, total = matches.blocks.sums(terms, 2).unbind(1)
-        return count / self._lengths[self.pairs], (total / count.clamp_min(1)).sqrt()
+        return count / self.lengths[self.pairs], square_root(total / count.clamp_min(1))
 
     def sums(self, estimator: Estimator, criteria: Criteria, rotation: Tensor) -> Tensor:
         """The estimator's sums (B, C), where the sources are turned by ``rotation`` (B, 3, 3)."""
@@ -136,6 +143,10 @@ def iterate(active: ActivePairs, center: Tensor, estimator: Estimator, criteria:
 
     ``active`` are all B pairs, not yet moved; ``center`` (B, 3) float64, meters, those of the targets.
     """
+    trees = addresses(active.matches.target.search)
+    if estimator.compiled and trees is not None and native(state.rotation):
+        _iterate_compiled(estimator.compiled, active, trees, center, criteria, state)
+        return
     active.matches.move(state.rotation, state.translation)
     state.fitness[:], state.inlier_rmse[:] = active.measure()
     _dismiss(active, (state.fitness > 0).tolist(), NO_CORRESPONDENCES, state)
@@ -149,6 +160,41 @@ def iterate(active: ActivePairs, center: Tensor, estimator: Estimator, criteria:
         if active.pairs:
             updates += 1
             _advance(active, R[usable], t[usable], updates, criteria, state)
+
+
+def _iterate_compiled(
+    kernel: str, active: ActivePairs, trees: Tensor, center: Tensor, criteria: Criteria, state: State
+) -> None:
+    """As ``iterate``, by a kernel that makes all iterations; ``trees`` (B, 4) as ``addresses`` has them."""
+    matches = active.matches
+    rows = torch.tensor([state.iterations, criteria.iterations, [0] * len(trees), [0] * len(trees)])
+    before, most, updates, outcome = rows.unbind(0)
+    call(
+        kernel,
+        matches.source,
+        matches.source.shape[1],
+        offsets_of(matches.blocks.counts),
+        active.lengths.long(),
+        len(trees),
+        trees,
+        matches.target.values,
+        matches.target.values.shape[1],
+        torch.tensor(matches.target.first),
+        center.contiguous(),
+        criteria.max_distance,
+        most,
+        torch.tensor(criteria.relative_fitness, dtype=torch.float64),
+        torch.tensor(criteria.relative_rmse, dtype=torch.float64),
+        state.rotation,
+        state.translation,
+        state.fitness,
+        state.inlier_rmse,
+        updates,
+        outcome,
+    )
+    state.iterations[:] = (before + updates).tolist()
+    for b, number in enumerate(outcome.tolist()):
+        state.converged[b], state.failed[b] = _OUTCOMES[number]
 
 
 def _advance(active: ActivePairs, R: Tensor, t: Tensor, updates: int, criteria: Criteria, state: State) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchreg.refinement.estimator import Estimator, IcpKind, MatchedBlocks
 from torchreg.refinement.gauss_newton import CHANNELS, products, solve
-from torchreg.refinement.kernels import Kernel
+from torchreg.refinement.kernels import Kernel, least_squares
 from torchreg.types import Clouds
 
 
@@ -24,7 +24,7 @@ def point_to_plane(kernel: Kernel) -> Estimator:
         weight = matched.inside * kernel(residual, matched.kernel_scale)
         return products(jacobian(matched.moved, n, residual), weight)
 
-    return Estimator(CHANNELS, terms, solve)
+    return Estimator(CHANNELS, terms, solve, "icp_point_to_plane" if kernel is least_squares else "")
 
 
 def plane_residual(matched: MatchedBlocks) -> Tensor:

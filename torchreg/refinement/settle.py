@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.native import call, native
 from torchreg.refinement.blocks import Blocks, turned
 from torchreg.refinement.colored import color_gradient, intensity_of
 from torchreg.refinement.correspond import Correspondence, Target, few_nearest
@@ -31,6 +32,7 @@ from torchreg.refinement.spread import (
     shades_of,
 )
 from torchreg.refinement.surfels import Surfels
+from torchreg.refinement.tree_correspond import correspondences
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
@@ -84,7 +86,7 @@ class SurfelPairs:
 
     def matched(self, rotation: Tensor, translation: Tensor, reach: Tensor) -> Correspondence:
         """The correspondences under poses of all pairs, within ``reach`` (B,) meters."""
-        matches = Correspondence(self.blocks, self._points, self._searched, reach)
+        matches = correspondences(self.blocks, self._points, self._searched, reach)
         matches.move(rotation, translation)
         return matches
 
@@ -92,6 +94,8 @@ class SurfelPairs:
         """The residuals of the active pairs of ``matches``, whose sources are turned by ``rotation`` (B, 3, 3)."""
         extra = self._extra if extra is None else extra
         normal = matches.partner[3:6]
+        if not self._colored and native(extra, matches.moved):
+            return _residuals_compiled(matches, rotation, extra)
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
         own = turned(rotation[matches.blocks.pair], extra[:3])
         a, b, c = (own * normal).unbind(0)
@@ -171,6 +175,28 @@ class SurfelPairs:
             tuple(first[number] for number in self.pairing.target),
             tuple(search[number] for number in self.pairing.target),
         )
+
+
+def _residuals_compiled(matches: Correspondence, rotation: Tensor, extra: Tensor) -> Residuals:
+    """As ``SurfelPairs.residuals``, without shades."""
+    distance, variance, alike = (torch.empty_like(each) for each in (matches.square, matches.square, matches.inside))
+    turned_normals = torch.empty_like(matches.moved)
+    call(
+        "surfel_residuals",
+        matches.moved,
+        matches.partner,
+        extra.contiguous(),
+        rotation.contiguous(),
+        matches.blocks.pair,
+        matches.inside,
+        len(matches.square),
+        _FACING,
+        distance,
+        variance,
+        turned_normals,
+        alike,
+    )
+    return Residuals(distance, variance, matches.partner[3:6], turned_normals, alike)
 
 
 def _plane_columns(surfels: Surfels) -> Tensor:

@@ -12,11 +12,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.roots import square_root
+from torchreg.native import call, native
 from torchreg.refinement.blocks import Blocks, dot
 from torchreg.refinement.correspond import Correspondence
 from torchreg.refinement.gauss_newton import CHANNELS, products
 from torchreg.refinement.kernels import tukey
 from torchreg.refinement.point_to_plane import jacobian
+from torchreg.types.packing import offsets_of
 
 CUT = 3.0
 """Standard deviations of the residuals, beyond which they have no weight."""
@@ -55,7 +58,7 @@ class ResidualSpread(NamedTuple):
 
 def deviations(shown: Residuals, spread: ResidualSpread, blocks: Blocks) -> Tensor:
     """The standard deviations (n, 256) of the residuals by noise and excess, meters."""
-    return (shown.variance + spread.excess[blocks.pair][:, None]).sqrt_()
+    return square_root(shown.variance + spread.excess[blocks.pair][:, None])
 
 
 def residual_spread(shown: Residuals, blocks: Blocks) -> ResidualSpread:
@@ -72,6 +75,10 @@ def residual_spread(shown: Residuals, blocks: Blocks) -> ResidualSpread:
 
 def medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
     """Medians (B,) of values (n, 256) where ``kept``; 0 where a pair has none."""
+    if native(values, kept):
+        out = values.new_empty(len(blocks.counts))
+        call("block_medians", values.contiguous(), kept.contiguous(), offsets_of(blocks.counts), len(out), out)
+        return out
     ends = torch.tensor(blocks.counts).cumsum(0).tolist()
     found = []
     for end, count in zip(ends, blocks.counts, strict=True):
@@ -84,8 +91,10 @@ def medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
 def normal_equations(shown: Residuals, matches: Correspondence, spread: ResidualSpread) -> Tensor:
     """The sums (B, 28) of the normal equations."""
     blocks = matches.blocks
-    cut = CUT * spread.scale[blocks.pair][:, None]
     deviation = deviations(shown, spread, blocks)
+    if shown.shades is None and native(deviation):
+        return _equations_compiled(shown, matches, deviation, CUT * spread.scale)
+    cut = CUT * spread.scale[blocks.pair][:, None]
 
     def terms(chunk: slice) -> Tensor:
         distance, unit = shown.distance[chunk], deviation[chunk]
@@ -103,6 +112,27 @@ def normal_equations(shown: Residuals, matches: Correspondence, spread: Residual
         return products(jacobian(moved, shown.shades.slope[:, chunk], difference), weight, onto=out)
 
     return blocks.sums(terms, CHANNELS)
+
+
+def _equations_compiled(shown: Residuals, matches: Correspondence, deviation: Tensor, cut: Tensor) -> Tensor:
+    """As ``normal_equations``, without shades; ``cut`` (B,)."""
+    blocks = matches.blocks
+    sums = cut.new_empty(len(cut), CHANNELS)
+    call(
+        "surfel_equations",
+        matches.moved,
+        shown.normal,
+        shown.distance,
+        deviation,
+        shown.alike,
+        cut,
+        blocks.pair,
+        offsets_of(blocks.counts),
+        len(blocks.pair),
+        len(cut),
+        sums,
+    )
+    return sums
 
 
 def shades_of(intensity: Tensor, matches: Correspondence, columns: Tensor, alike: Tensor, normal: Tensor) -> Shades:

@@ -18,6 +18,7 @@ from torchreg.errors import expect, expect_shape
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.morton import occupied_cells
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.native import call, native
 from torchreg.neighborhoods.point_index import several_nearest
 from torchreg.preprocess.downsample import CountedVoxels, counted_voxels, in_morton_order, voxel_downsample
 from torchreg.types import Clouds
@@ -159,23 +160,53 @@ def _planes(
 
     The planes of neighbors (r, K), rows of ``base`` with weights (P,), about centers (r, 3).
     """
-    neighbors = near.shape[1]
+    measure = _moments_compiled if native(centers, base.points, base.colors, weight, near) else _moments
+    mean, spread, reach, colors = measure(centers, base, weight, near)
+    values, vectors = symmetric_eigen(spread)
+    return centers + mean, vectors[:, :, 0].contiguous(), values.clamp(min=0), reach, colors
+
+
+def _freedom(neighbors: int) -> float:
+    """The share of their weight that neighbors spread with about a plane through them."""
+    return max(1, neighbors - 3) / neighbors
+
+
+def _moments(centers: Tensor, base: Clouds, weight: Tensor, near: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Means (r, 3) about the centers, the upper triangle of spreads (r, 3, 3), reach and colors of ``_planes``."""
     weights = weight[near]  # (r, K)
-    total = weights.sum(dim=1)
+    total = _in_order(weights)
     apart = [base.points[:, axis][near] - centers[:, axis, None] for axis in range(3)]  # 3 x (r, K)
     reach = (apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2).amax(dim=1)
-    mean = [(axis * weights).sum(dim=1) / total for axis in apart]
+    mean = [_in_order(axis * weights) / total for axis in apart]
     apart = [axis - middle[:, None] for axis, middle in zip(apart, mean, strict=True)]
-    freedom = total * (max(1, neighbors - 3) / neighbors)
-    spread = centers.new_empty(len(centers), 3, 3)
+    freedom = total * _freedom(near.shape[1])
+    spread = centers.new_zeros(len(centers), 3, 3)
     for i in range(3):
         for j in range(i, 3):
-            spread[:, i, j] = (apart[i] * apart[j] * weights).sum(dim=1) / freedom
-    values, vectors = symmetric_eigen(spread)
+            spread[:, i, j] = _in_order(apart[i] * apart[j] * weights) / freedom
     colors = centers
     if base.colors is not None:
-        colors = (base.colors[near] * weights[:, :, None]).sum(dim=1) / total[:, None]
-    return centers + torch.stack(mean, dim=1), vectors[:, :, 0].contiguous(), values.clamp(min=0), reach, colors
+        colors = _in_order(base.colors[near] * weights[:, :, None]) / total[:, None]
+    return torch.stack(mean, dim=1), spread, reach, colors
+
+
+def _moments_compiled(
+    centers: Tensor, base: Clouds, weight: Tensor, near: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """As ``_moments``."""
+    mean, spread = torch.empty_like(centers), centers.new_zeros(len(centers), 3, 3)
+    reach, colors = centers.new_empty(len(centers)), centers
+    if base.colors is not None:
+        colors = torch.empty_like(centers)
+    given = [values if values is None else values.contiguous() for values in (base.points, weight, base.colors, near)]
+    sizes = (*near.shape, _freedom(near.shape[1]))
+    call("surfel_moments", centers.contiguous(), *given, *sizes, mean, spread, reach, colors)
+    return mean, spread, reach, colors
+
+
+def _in_order(values: Tensor) -> Tensor:
+    """Sums (r, ...) of values (r, K, ...), one after another."""
+    return values.cumsum(dim=1)[:, -1]
 
 
 def _flattest(variances: Tensor, near: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.matching.nearest import feature_nearest
+from torchreg.matching.shadows import nearest_rows
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.turned import turned
 from torchreg.solvers import PairPoses
@@ -109,7 +109,6 @@ def _nearest(features: tuple[Features, Features], b: int, sample: int) -> tuple[
     queries = rows[0][:: max(1, -(-len(rows[0]) // sample))]
     if len(queries) == 0 or len(rows[1]) == 0:
         return queries[:0], queries[:0], features[0].values.new_zeros(0)
-    found = feature_nearest(features[0].values[queries], features[1].values[rows[1]], _NEAREST)
-    count = min(_NEAREST, len(rows[1]))
-    i, j = queries[:, None].expand(-1, count).flatten(), rows[1][found.row[:, :count].flatten()]
-    return i, j, found.distance[:, :count].flatten().to(features[0].values)
+    row, distance = nearest_rows(features[0].values[queries], features[1].values[rows[1]], _NEAREST)
+    i, j = queries[:, None].expand_as(row).flatten(), rows[1][row.flatten()]
+    return i, j, distance.flatten().to(features[0].values)

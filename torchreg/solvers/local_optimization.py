@@ -9,18 +9,24 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.geometry.kabsch import from_moments
+from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.sums import BLOCK, RowSums
+from torchreg.geometry.numerics.halving import halved, halving_width
+from torchreg.native import call, native
 from torchreg.solvers.points import PairPoints
-from torchreg.solvers.scoring import Quality, Scored, by_count, score
+from torchreg.solvers.scoring import ERROR_SHARES, Quality, Scored, by_count, score
 
 _SUM_ELEMENTS = 1 << 16  # half a megabyte of float64: what is summed stays in the cache
 
 
 def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality = by_count) -> Scored:
     """Refit hypotheses to their inliers until none gets better, at most ``rounds`` times."""
-    scored = Scored(*(part.clone() for part in scored))
+    scored = Scored(*(part.clone(memory_format=torch.contiguous_format) for part in scored))
+    if native(*scored) and quality in ERROR_SHARES:
+        poses = (scored.rotation, scored.translation, scored.pair, points.squared_thresholds()[scored.pair])
+        by = (max(0, rounds), ERROR_SHARES[quality])
+        call("optimize_poses", *poses, len(scored.pair), *points.kernel_arguments(), *by, *scored[3:])
+        return scored
     active = torch.arange(len(scored.support), device=scored.pair.device)
     before = scored
     for _ in range(rounds):
@@ -38,32 +44,32 @@ def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality =
 def fit(inliers: Tensor, pair: Tensor, points: PairPoints) -> tuple[Tensor, Tensor]:
     """Least-squares rotations (3, 3, H) and translations (3, H) for inlier masks (H, M) of the pairs (H,)."""
     support = inliers.sum(dim=1)
-    widest = max(1, int(support.amax())) if len(support) else 1
-    pieces = list(row_chunks(len(inliers), -(-widest // BLOCK) * BLOCK, _SUM_ELEMENTS))
-    sums = RowSums(pieces[0].stop if pieces else 0, widest, inliers.device)
-    moments = [_moments(inliers[rows], support[rows], pair[rows], points, sums) for rows in pieces]
-    if not moments:
-        return points.source.new_zeros(3, 3, 0), points.source.new_zeros(3, 0)
-    source_mean, target_mean, covariance = (torch.cat(part, dim=1) for part in zip(*moments, strict=True))
-    T = from_moments(source_mean.t(), target_mean.t(), covariance.t().reshape(-1, 3, 3))
-    return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t()
+    widest = halving_width(int(support.amax()) if len(support) else 0)
+    none = [points.source.new_zeros(*shape, 0) for shape in ((3,), (3,), (3, 3))]
+    moments = [
+        _moments(inliers[rows], support[rows], pair[rows], points, widest)
+        for rows in row_chunks(len(inliers), widest, _SUM_ELEMENTS)
+    ]
+    source_mean, target_mean, covariance = (torch.cat(part, dim=-1) for part in zip(none, *moments, strict=True))
+    rotation = best_rotation(covariance)
+    return rotation, best_translation(rotation, source_mean, target_mean)
 
 
 def _moments(
-    inliers: Tensor, support: Tensor, pair: Tensor, points: PairPoints, sums: RowSums
+    inliers: Tensor, support: Tensor, pair: Tensor, points: PairPoints, widest: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Means (3, R) twice and covariances (9, R) of the inliers of masks (R, M)."""
-    rows, columns = len(inliers), points.source.shape[2]
+    """Means (3, R) twice and covariances (3, 3, R) of the inliers of masks (R, M), ``widest`` at most of each."""
+    columns = points.source.shape[2]
     row, column = inliers.nonzero().unbind(1)  # (T,), the inliers of all hypotheses
-    places = sums.places(row, torch.arange(len(row), device=row.device) - (support.cumsum(0) - support)[row])
     number = pair[row] * columns + column
-    p, q = (side.flatten(1).index_select(1, number) for side in (points.source, points.target))  # (3, T)
+    places = row * widest + torch.arange(len(row), device=row.device) - (support.cumsum(0) - support)[row]
     total = support.double().clamp(min=1)
-    means = []
-    for side in (p, q):
-        mean = torch.stack([sums.placed(values, places, rows) for values in side]) / total
-        side -= mean.index_select(1, row)
-        means.append(mean)
-    covariance = torch.stack([sums.placed(a * b, places, rows) for a in p for b in q])  # (9, R)
-    sums.clear(places)
+    means, moved = [], []
+    for side in (points.source, points.target):
+        wide = side.new_zeros(3, len(inliers), widest)
+        wide.flatten(1)[:, places] = side.flatten(1).index_select(1, number)
+        means.append(halved(wide) / total)  # (3, R)
+        wide.flatten(1)[:, places] -= means[-1].index_select(1, row)
+        moved.append(wide)
+    covariance = torch.stack([halved(p * moved[1]) for p in moved[0]])  # (3, 3, R)
     return means[0], means[1], covariance

@@ -15,6 +15,9 @@ from torchreg.errors import expect
 from torchreg.geometry.numerics.sums import row_sums
 from torchreg.types import Clouds, Correspondences
 
+KERNEL_TYPES = {torch.float32: "f32", torch.float64: "f64"}
+"""The ends of the names of compiled kernels, by the type of the numbers that they take."""
+
 _MASK = (1 << 64) - 1
 
 
@@ -68,6 +71,11 @@ class PairPoints(NamedTuple):
     def squared_thresholds(self) -> Tensor:
         """(B,) float64, square meters."""
         return self.source.new_tensor([threshold * threshold for threshold in self.thresholds])
+
+    def kernel_arguments(self) -> tuple[Tensor, Tensor, Tensor, int, int]:
+        """The points as compiled kernels take them: both sides, which are valid, and how many pairs and columns."""
+        sides = (self.source.contiguous(), self.target.contiguous(), self.valid.contiguous())
+        return (*sides, len(self.counts), self.valid.shape[1])
 
 
 def gather_points(

@@ -23,8 +23,9 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.sums import row_sums
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.native import call, native
 from torchreg.solvers.local_optimization import optimize
-from torchreg.solvers.points import PairPoints, first_of_each, ranks
+from torchreg.solvers.points import KERNEL_TYPES, PairPoints, first_of_each, ranks
 from torchreg.solvers.scoring import Quality, Scored, orthonormal, score
 from torchreg.solvers.solver import Hypotheses
 from torchreg.types import Failure
@@ -104,6 +105,7 @@ def _distinct(hypotheses: Sequence[Hypotheses], points: PairPoints, rounds: int,
     lengths = torch.tensor([each.stored for each in hypotheses], device=rotation.device)
     pair = torch.arange(len(lengths), device=rotation.device).repeat_interleave(lengths)
     radii = [APART * threshold for threshold in points.thresholds]
+    moments = _moments(points.source, points.valid, points.counts)
 
     def exact(places: Tensor) -> Scored:
         turned = orthonormal(rotation[..., places].double())
@@ -111,13 +113,13 @@ def _distinct(hypotheses: Sequence[Hypotheses], points: PairPoints, rounds: int,
 
     def distinct(poses: Scored) -> Scored:
         poses = poses.take(poses.best_first())
-        vectors = pose_vectors_of_pairs(poses.rotation, poses.translation, poses.pair, points)
+        vectors = pose_vectors_of_pairs(poses.rotation, poses.translation, poses.pair, moments)
         return poses.take(spread_out(vectors, poses.pair, radii, POSES))
 
     leaders = exact((ranks(pair) < LEADERS).nonzero()[:, 0])
     leaders = leaders.take(leaders.best_first())
     leaders = leaders.take((ranks(leaders.pair) < OPTIMIZED).nonzero()[:, 0])
-    vectors = pose_vectors_of_pairs(rotation, translation, pair, points)
+    vectors = pose_vectors_of_pairs(rotation, translation, pair, moments)
     others = exact(spread_out(vectors, pair, radii, _SPREAD))
     poses = distinct(optimize(leaders.join(others), points, min(rounds, _FIRST_ROUNDS), quality))
     return distinct(optimize(poses, points, rounds - _FIRST_ROUNDS, quality))
@@ -132,9 +134,11 @@ def pose_vectors(rotation: Tensor, translation: Tensor, source: Tensor) -> Tenso
     return _vectors(rotation, translation, mean.to(rotation), root.to(rotation))
 
 
-def pose_vectors_of_pairs(rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints) -> Tensor:
-    """``pose_vectors`` of poses of the pairs ``pair`` (H,), each over the source points of its pair."""
-    mean, root = _moments(points.source, points.valid, points.counts)
+def pose_vectors_of_pairs(
+    rotation: Tensor, translation: Tensor, pair: Tensor, moments: tuple[Tensor, Tensor]
+) -> Tensor:
+    """``pose_vectors`` of poses of the pairs ``pair`` (H,), each by the means and roots (``_moments``) of its pair."""
+    mean, root = moments
     return _vectors(rotation, translation, mean.to(rotation)[:, pair], root.to(rotation)[..., pair])
 
 
@@ -145,6 +149,10 @@ def spread_out(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int
     meters. At most ``count`` are chosen of each pair. Returns their places (K,), ascending.
     """
     limits = torch.tensor([radius * radius for radius in radii], dtype=torch.float64).to(vectors)
+    if native(vectors, pair) and vectors.dtype in KERNEL_TYPES:
+        places = torch.empty_like(pair, memory_format=torch.contiguous_format)
+        given = (vectors.contiguous(), pair.contiguous(), limits, len(pair), count)
+        return places[: call(f"spread_out_{KERNEL_TYPES[vectors.dtype]}", *given, places)]
     place = torch.arange(vectors.shape[1], device=vectors.device)
     chosen = [place[:0]]
     for _ in range(count):

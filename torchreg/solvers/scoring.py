@@ -16,8 +16,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.best_rotation import best_rotation
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.sums import BLOCK, RowSums
+from torchreg.geometry.numerics.halving import halved, halving_width
+from torchreg.native import call, native
 from torchreg.solvers.points import PairPoints
 
 _TILE_ELEMENTS = 1 << 18  # 1 MB of float32 per tile: product, comparison and count stay in the cache
@@ -79,9 +81,7 @@ def residuals(rotation: Tensor, translation: Tensor, source: Tensor, target: Ten
 
 def orthonormal(rotation: Tensor) -> Tensor:
     """The nearest rotations to (3, 3, F) matrices that are rotations up to the rounding of a proposal."""
-    u, _, vh = torch.linalg.svd(rotation.permute(2, 0, 1))
-    nearest: Tensor = u @ vh
-    return nearest.permute(1, 2, 0)
+    return best_rotation(rotation.transpose(0, 1))
 
 
 Quality = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -103,6 +103,9 @@ def by_msac(support: Tensor, error: Tensor, limit: Tensor) -> Tensor:
 
 QUALITIES: dict[str, Quality] = {"count": by_count, "msac": by_msac}
 """Qualities by which hypotheses are compared, by the name in a solver's ``scoring``."""
+
+ERROR_SHARES: dict[Quality, float] = {by_count: 0.0, by_msac: 1.0}
+"""The qualities that compiled kernels know: the support less this share of error / squared threshold."""
 
 
 class Scored(NamedTuple):
@@ -144,12 +147,14 @@ def score(
     rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints, quality: Quality = by_count
 ) -> Scored:
     """Score hypotheses of the pairs ``pair`` (H,) exactly: residual below the threshold, summed in a fixed order."""
-    columns, limit = points.source.shape[2], points.squared_thresholds()[pair]
+    limit = points.squared_thresholds()[pair]
+    if native(rotation, translation, pair, *points.kernel_arguments()[:3]):
+        inliers, support, error = _score_compiled(rotation, translation, pair, points, limit)
+        return Scored(rotation, translation, pair, inliers, support, error, quality(support, error, limit))
+    columns = points.source.shape[2]
     inliers = points.valid.new_empty(len(pair), columns)
     error = torch.empty_like(limit)
-    pieces = list(row_chunks(len(pair), -(-columns // BLOCK) * BLOCK, _SCORE_ELEMENTS))
-    sums = RowSums(pieces[0].stop if pieces else 0, columns, pair.device)
-    for rows in pieces:
+    for rows in row_chunks(len(pair), halving_width(columns), _SCORE_ELEMENTS):
         numbers = pair[rows]
         near = (points.source[:, 0], points.target[:, 0])  # one pair's points need no copy
         if len(points.counts) > 1:
@@ -157,6 +162,17 @@ def score(
         square = residuals(rotation[..., rows], translation[:, rows], *near)
         inside = (square < limit[rows, None]).logical_and_(points.valid[numbers])
         inliers[rows] = inside
-        error[rows] = sums(square.masked_fill_(inside.logical_not_(), 0.0))
+        error[rows] = halved(square.masked_fill_(inside.logical_not_(), 0.0))
     support = inliers.sum(dim=1)
     return Scored(rotation, translation, pair, inliers, support, error, quality(support, error, limit))
+
+
+def _score_compiled(
+    rotation: Tensor, translation: Tensor, pair: Tensor, points: PairPoints, limit: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Inliers, support and error."""
+    inliers = torch.empty(len(pair), points.source.shape[2], dtype=torch.bool)
+    support, error = torch.empty_like(pair), torch.empty_like(limit)
+    poses = (rotation.contiguous(), translation.contiguous(), pair.contiguous(), limit, len(pair))
+    call("score_poses", *poses, *points.kernel_arguments(), inliers, support, error)
+    return inliers, support, error

@@ -71,6 +71,7 @@ class Neighborhoods:
         valid, sq_distance = self.valid[:, :width], self.sq_distance[:, :width]
         if radius is not None:
             radius = self._checked_radius(radius)
+        if radius is not None and not self._reaches(radius):
             square = (radius * radius)[:, None] if isinstance(radius, Tensor) else torch.as_tensor(radius**2)
             valid = valid & (sq_distance < square.to(sq_distance))
         return Neighborhoods(self.index[:, :width], valid, sq_distance, _smaller(self.radius, radius))
@@ -89,6 +90,12 @@ class Neighborhoods:
         if isinstance(radius, Tensor):
             radius = radius[begin:end]
         return Neighborhoods(index, valid, self.sq_distance[begin:end], radius)
+
+    def _reaches(self, radius: float | Tensor) -> bool:
+        """Whether no neighbor is farther than ``radius``, as far as that is known without a look at them."""
+        if isinstance(radius, Tensor) or isinstance(self.radius, Tensor):
+            return False
+        return self.radius is not None and radius >= self.radius
 
     def _checked_radius(self, radius: float | Tensor) -> float | Tensor:
         if not isinstance(radius, Tensor):

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.gather import gather_columns
+from torchreg.native import call, native
 from torchreg.solvers.chance import log10_binomial_tail
 from torchreg.verification.candidates import joined
 
@@ -36,7 +38,7 @@ class MatchCells(NamedTuple):
     """The matches of one proposal in cells of their source points, with other pairings of the same points."""
 
     source: Tensor  # (3, M) meters, cell by cell
-    targets: Tensor  # (17, 3, M) the target points that are matched to them, then those of 16 other pairings
+    targets: Tensor  # (3, 17, M) the target points that are matched to them, then those of 16 other pairings
     last: Tensor  # (C,) int64, the last match of every cell
     size: Tensor  # (C,) int64, matches in every cell
     threshold: float  # meters, within which a match agrees
@@ -56,14 +58,20 @@ def match_cells(matches: MatchEndpoints, threshold: float) -> MatchCells:
     count, device = len(matches.source), matches.source.device
     if count == 0:
         none = torch.zeros(0, dtype=torch.int64, device=device)
-        return MatchCells(matches.source.t(), matches.target.t().expand(1 + _REPAIRINGS, 3, 0), none, none, threshold)
-    corner = torch.floor((matches.source - matches.source.amin(dim=0)) / (_CELL * threshold)).long()
-    _, cell, size = corner.unique(dim=0, return_inverse=True, return_counts=True)
-    order = cell.argsort(stable=True)
+        source, target = matches.source.t(), matches.target.t()
+        return MatchCells(source, target[:, None].expand(3, 1 + _REPAIRINGS, 0), none, none, threshold)
+    source, target = matches.source.t().contiguous(), matches.target.t().contiguous()
+    corner = torch.floor((source - source.amin(dim=1, keepdim=True)) / (_CELL * threshold))
+    order = torch.arange(count, device=device)
+    for axis in (2, 1, 0):
+        order = order[corner[axis, order].sort(stable=True).indices]
+    corner = corner[:, order]
+    ends = torch.nn.functional.pad((corner[:, 1:] != corner[:, :-1]).any(dim=0), (0, 1), value=True)
+    last = ends.nonzero()[:, 0]
+    size = torch.nn.functional.pad(last, (1, 0), value=-1).diff()
     steps = [0, *(1 + (k * (count - 1)) // (_REPAIRINGS + 1) for k in range(1, _REPAIRINGS + 1))]
     rows = (order - torch.tensor(steps, device=device)[:, None]) % count  # (17, M)
-    targets = matches.target.t()[:, rows].transpose(0, 1).contiguous()
-    return MatchCells(matches.source.t()[:, order].contiguous(), targets, size.cumsum(0) - 1, size, threshold)
+    return MatchCells(source[:, order].contiguous(), gather_columns(target, rows), last, size, threshold)
 
 
 def agreement(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agreement:
@@ -72,31 +80,55 @@ def agreement(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agree
     if count == 0 or len(rotation) == 0:
         empty = torch.zeros(len(rotation), dtype=torch.float64, device=rotation.device)
         return Agreement(empty.long(), empty)
-    parts = [
-        _weigh(cells, rotation[rows], translation[rows])
-        for rows in row_chunks(len(rotation), len(cells.targets) * count, _ELEMENTS)
-    ]
-    return joined(parts)
-
-
-def _weigh(cells: MatchCells, rotation: Tensor, translation: Tensor) -> Agreement:
-    """As ``agreement``, of a few poses."""
-    x, y, z = cells.source.unbind(0)
-    square = torch.zeros((), dtype=rotation.dtype, device=rotation.device)
-    for i in range(3):
-        moved = rotation[:, i, 0, None] * x + rotation[:, i, 1, None] * y + rotation[:, i, 2, None] * z
-        moved += translation[:, i, None]  # (H, M)
-        apart = moved[:, None] - cells.targets[:, i]  # (H, 17, M)
-        square = square + apart.mul_(apart)
-    agrees = square < cells.threshold * cells.threshold
-    counts = torch.stack([agrees[:, 0].long(), agrees[:, 1:].sum(dim=1)])  # (2, H, M)
-    agreeing, chance = _agreeing_cells(counts, cells)
+    support, agreeing, chance = _counted(cells, rotation, translation)
     number = len(cells.size)
     surprises = [
         min(_MOST, 0.0 - log10_binomial_tail(number, int(here), max(1.0 / _REPAIRINGS, expected) / number))
         for here, expected in zip(agreeing.tolist(), (chance / _REPAIRINGS).tolist(), strict=True)
     ]
-    return Agreement(counts[0].sum(dim=1), torch.tensor(surprises, dtype=torch.float64, device=rotation.device))
+    return Agreement(support, torch.tensor(surprises, dtype=torch.float64, device=rotation.device))
+
+
+class _Counted(NamedTuple):
+    """Of H poses; sums over cells are of the shares of their matches that agree."""
+
+    support: Tensor  # (H,) int64, matches within the threshold
+    agreeing: Tensor  # (H,) float64, the sum over cells
+    chance: Tensor  # (H,) float64, the sum over cells of all other pairings together
+
+
+def _counted(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Counted:
+    if rotation.dtype == cells.source.dtype == torch.float64 and native(*cells[:4], rotation, translation):
+        return _compiled(cells, rotation.detach().contiguous(), translation.detach().contiguous())
+    parts = [
+        _counted_of_few(cells, rotation[rows], translation[rows])
+        for rows in row_chunks(len(rotation), cells.targets[0].numel(), _ELEMENTS)
+    ]
+    return joined(parts)
+
+
+def _compiled(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Counted:
+    """As ``_counted_of_few``, of any number of poses."""
+    support = cells.last.new_empty(len(rotation))
+    shares = rotation.new_empty(2, len(rotation))
+    sizes = cells.source.shape[1], cells.targets.shape[1], len(cells.size), len(rotation)
+    square = float(cells.threshold * cells.threshold)
+    call("agreement", *(part.detach() for part in cells[:4]), rotation, translation, support, shares, *sizes, square)
+    return _Counted(support, shares[0], shares[1])
+
+
+def _counted_of_few(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Counted:
+    """As ``_counted``, of as many poses as fit in the cache."""
+    x, y, z = cells.source.unbind(0)
+    square = torch.zeros((), dtype=rotation.dtype, device=rotation.device)
+    for i in range(3):
+        moved = rotation[:, i, 0, None] * x + rotation[:, i, 1, None] * y + rotation[:, i, 2, None] * z
+        moved += translation[:, i, None]  # (H, M)
+        apart = moved[:, None] - cells.targets[i]  # (H, 17, M)
+        square = square + apart.mul_(apart)
+    agrees = square < cells.threshold * cells.threshold
+    counts = torch.stack([agrees[:, 0].long(), agrees[:, 1:].sum(dim=1)])  # (2, H, M)
+    return _Counted(counts[0].sum(dim=1), *_agreeing_cells(counts, cells))
 
 
 def _agreeing_cells(counts: Tensor, cells: MatchCells) -> Tensor:

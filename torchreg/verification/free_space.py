@@ -14,6 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.native import call, native
+
 _NEAR_QUANTILE = 0.1
 _CELL_SPACINGS = 1.5  # a cell is this many point spacings wide at the near range
 _MAX_SIDE = 512
@@ -87,14 +89,31 @@ def visibility(images: RangeImages, which: Tensor, points: Tensor, margin: Tenso
     ``which`` (R,) names the image of each row; points less than ``margin`` (R,) meters before a surface count as on it.
     """
     ray = points - images.viewpoint[:, which, None]
-    distance = _length(ray)
+    x, y, z = ray.square().unbind(0)
+    square = x.add_(y).add_(z)  # not its root, which libraries round in different ways
     cell = _cells(ray, images.side[which, None]).add_(images.first[which, None]).view(-1)
-    surface = images.ranges.index_select(0, cell).view(distance.shape)
-    known = images.seen.index_select(0, cell).view(distance.shape) & (distance >= images.near[which, None])
+    surface = images.ranges.index_select(0, cell).view(square.shape)
+    known = images.seen.index_select(0, cell).view(square.shape) & (square >= images.near.square()[which, None])
     # the margin grows with the range, since neighboring cells of a slanted surface differ in range
     slack = margin[:, None].to(surface.dtype) + 0.02 * surface
-    before = known & (distance < surface - slack)
-    return Visibility(before, known & ~before & (distance <= surface + 2 * slack))
+    first, last = surface - slack, surface + 2 * slack
+    before = known & (first > 0) & (square < first * first)
+    return Visibility(before, known & ~before & (square <= last * last))
+
+
+def visible_counts(images: RangeImages, which: Tensor, points: Tensor, valid: Tensor, margin: Tensor) -> Tensor:
+    """How many (2, R) int64 of the points (3, R, N), where ``valid`` (R, N), lie before a surface, and on one.
+
+    As ``visibility``, but rows without an image, ``which`` is -1, have zeros.
+    """
+    if native(points, margin):
+        counts = torch.empty(2, len(which), dtype=torch.int64)
+        parts = (points.contiguous(), valid.contiguous(), which, margin.float())
+        call("visible_counts", *parts, *images, counts, len(images.side), *valid.shape)
+        return counts
+    seen = visibility(images, which.clamp(min=0), points, margin)
+    valid = valid & (which >= 0)[:, None]
+    return torch.stack([(seen.before & valid).sum(dim=1), (seen.on & valid).sum(dim=1)])
 
 
 def _length(vectors: Tensor) -> Tensor:

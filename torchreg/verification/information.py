@@ -13,9 +13,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.geometry.numerics.lanes import lane_sums
 from torchreg.geometry.numerics.sums import padded_row_sums
+from torchreg.native import call, native
 
 _LEAST = 6  # points that can hold a pose
+_KERNELS = {torch.float32: "moment_sums_float", torch.float64: "moment_sums_double"}
 _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # xx, yy, zz, xy, xz, yz
 
 
@@ -80,25 +83,42 @@ class _PlaneInformation(NamedTuple):
 
 
 def _plane_information(points: Tensor, normals: Tensor, valid: Tensor) -> _PlaneInformation:
+    """Of points (3, R, L) with normals (3, R, L), where ``valid`` (R, L)."""
+    products, center, square = _moment_sums(points, normals, valid)
+    size = (square / valid.sum(dim=1).clamp(min=1)).sqrt().clamp(min=1e-12)
+    matrix = torch.empty(len(valid), 6, 6, dtype=torch.float64, device=valid.device)
+    i, j = torch.triu_indices(6, 6, device=valid.device)
+    matrix[:, i, j] = matrix[:, j, i] = products.t()
+    # turns are scaled by the size, so that one unit moves the rim by one meter as a unit of shift does
+    unit = torch.cat([size[:, None].expand(-1, 3), torch.ones_like(center.t())], dim=1)  # (R, 6)
+    return _PlaneInformation(matrix / (unit[:, :, None] * unit[:, None]), center, size)
+
+
+def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sums over the valid points of R poses.
+
+    The upper triangles (21, R) of point-to-plane information, row by row, turns in radians about the centers; the
+    centers (3, R); and the squared distances to these (R,).
+    """
+    if native(points, normals, valid) and normals.dtype == torch.float32 and points.dtype in _KERNELS:
+        rows = len(valid)
+        products, center, square = (
+            torch.empty(shape, dtype=torch.float64) for shape in ((21, rows), (3, rows), (rows,))
+        )
+        parts = (part.contiguous() for part in (points, normals, valid))
+        call(_KERNELS[points.dtype], *parts, products, center, square, *valid.shape)
+        return products, center, square
     weight = valid.double()  # (R, L)
     p, n = points.double(), normals.double()  # (3, R, L)
-    total = valid.sum(dim=1).double().clamp(min=1)  # (R,)
-    center = padded_row_sums(p * weight) / total
-    apart = (p - center[..., None]).mul_(weight)
-    x, y, z = apart.square().unbind(0)
-    size = (padded_row_sums(x.add_(y).add_(z)) / total).sqrt().clamp(min=1e-12)
-    # turns are scaled by the size, so that one unit moves the rim by one meter as a unit of shift does
-    rows = torch.cat([torch.linalg.cross(apart / size[:, None], n, dim=0), n * weight])  # (6, R, L)
-    products = torch.empty(21, *weight.shape, dtype=rows.dtype, device=rows.device)
+    center = lane_sums(p * weight) / valid.sum(dim=1).clamp(min=1)
+    (x, y, z), (a, b, c) = (p - center[..., None]).mul_(weight).unbind(0), (n * weight).unbind(0)
+    motions = torch.stack([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c])  # (6, R, L)
+    products = torch.empty(21, *weight.shape, dtype=motions.dtype, device=motions.device)
     begin = 0
-    for i in range(6):  # the upper triangle, row by row
-        torch.mul(rows[i:], rows[i], out=products[begin : begin + 6 - i])
+    for i in range(6):
+        torch.mul(motions[i:], motions[i], out=products[begin : begin + 6 - i])
         begin += 6 - i
-    upper = padded_row_sums(products).t()  # (R, 21)
-    matrix = upper.new_empty(len(weight), 6, 6)
-    i, j = torch.triu_indices(6, 6, device=upper.device)
-    matrix[:, i, j], matrix[:, j, i] = upper, upper
-    return _PlaneInformation(matrix, center, size)
+    return lane_sums(products), center, lane_sums(x * x + y * y + z * z)
 
 
 def _strength(matrix: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

@@ -18,6 +18,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.native import call, native
+
 _LENGTHS = 1 << 15  # that are compared
 _LEAST = 10.0  # thresholds: noise moves the ratio of shorter lengths by more than a few bins
 _STEP = 0.01  # of the logarithm: bins of 1 %
@@ -39,14 +41,11 @@ def length_ratios(source: Tensor, target: Tensor, threshold: float) -> LengthRat
     An even choice of lengths, elementwise operations and whole numbers: nothing is drawn, and threads change no bit.
     """
     count = len(source)
-    first, second = _pairs(count, source.device)
-    p, q = (_squared_lengths(side, first, second) for side in (source, target))
-    least = (_LEAST * threshold) ** 2
-    counts, lengths = _counts(p, q, least)
+    binned, compared = _counted(source, target, *_pairs(count, source.device), (_LEAST * threshold) ** 2)
+    counts, lengths = binned[0].double(), int(compared[0])
     by_chance = torch.zeros_like(counts)
-    for step in range(1, _REPAIRINGS + 1):
-        other, number = _counts(p, q.roll(step * len(q) // (_REPAIRINGS + 1)), least)
-        by_chance += other * (lengths / max(1, number)) / _REPAIRINGS
+    for other, number in zip(binned[1:], compared[1:].tolist(), strict=True):
+        by_chance += other.double() * (lengths / max(1, number)) / _REPAIRINGS
     excess = (counts - by_chance).unfold(0, 3, 1).sum(dim=1).tolist()  # of three bins: the middle one is named
     one = _BINS - 1  # the bin of the factor 1, among middles
     at_one = max(excess[one - 1 : one + 2])
@@ -69,6 +68,27 @@ def _pairs(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
     return first.expand_as(second).flatten(), second.flatten()
 
 
+def _counted(source: Tensor, target: Tensor, first: Tensor, second: Tensor, least: float) -> tuple[Tensor, Tensor]:
+    """How many ratios fall into every bin (1 + S, bins) int64, and how many are compared (1 + S,) int64.
+
+    Of the lengths between two matches each, and with those of the target moved on to other lengths, S times. Lengths
+    whose squares are below ``least`` are left out.
+    """
+    numbers = [math.exp(2 * _STEP * (bin + 0.5)) for bin in range(-_BINS - 1, _BINS + 1)]
+    edges = torch.tensor(numbers, dtype=source.dtype, device=source.device)
+    if native(source, target) and source.dtype == target.dtype == torch.float64:
+        counts = torch.zeros(1 + _REPAIRINGS, len(edges) + 1, dtype=torch.int64)
+        compared = torch.zeros(1 + _REPAIRINGS, dtype=torch.int64)
+        points = (side.detach().contiguous() for side in (source, target))
+        ends = (rows.contiguous() for rows in (first, second))
+        call("length_ratio_counts", *points, *ends, edges, counts, compared, len(first), len(edges), _REPAIRINGS, least)
+        return counts[:, 1:-1], compared
+    p, q = (_squared_lengths(side, first, second) for side in (source, target))
+    parts = [_counts(p, q.roll(step * len(q) // (_REPAIRINGS + 1)), least, edges) for step in range(1 + _REPAIRINGS)]
+    counts, compared = map(torch.stack, zip(*parts, strict=True))
+    return counts, compared
+
+
 def _squared_lengths(points: Tensor, first: Tensor, second: Tensor) -> Tensor:
     square = torch.zeros(len(first), dtype=points.dtype, device=points.device)
     for axis in points.t().contiguous():
@@ -77,10 +97,9 @@ def _squared_lengths(points: Tensor, first: Tensor, second: Tensor) -> Tensor:
     return square
 
 
-def _counts(p: Tensor, q: Tensor, least: float) -> tuple[Tensor, int]:
-    """How many ratios fall into every bin (bins,) float64, and how many lengths (L,) are long enough, squared."""
-    edges = [math.exp(2 * _STEP * (bin + 0.5)) for bin in range(-_BINS - 1, _BINS + 1)]
-    bins = torch.bucketize(q / p.clamp(min=least), torch.tensor(edges, dtype=p.dtype, device=p.device))
+def _counts(p: Tensor, q: Tensor, least: float, edges: Tensor) -> tuple[Tensor, Tensor]:
+    """How many ratios of squared lengths (L,) fall into every bin, and how many are compared."""
+    bins = torch.bucketize(q / p.clamp(min=least), edges)
     long = torch.minimum(p, q) > least
     counts = torch.bincount(torch.where(long, bins, 0), minlength=len(edges) + 1)
-    return counts[1:-1].double(), int(long.sum())
+    return counts[1:-1], long.sum()

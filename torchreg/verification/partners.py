@@ -7,14 +7,18 @@ of a search, and searches from far away take longest.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchreg.native import call, native
 from torchreg.neighborhoods.point_index import PointIndex
+from torchreg.types.packing import offsets_of
 from torchreg.verification.candidates import runs_of
+from torchreg.verification.partner_grid import PartnerGrid, nearest_in_grid, partner_grid
 
 _SLACK = 1.01  # of a cell's width to the threshold: far more than rounding
 _MOST = 64  # cells along an axis; a scan that is wider has wider cells
@@ -32,27 +36,47 @@ class Occupancy(NamedTuple):
     reached: Tensor  # of all cells, whether a point lies in it or in one of the 26 around it
 
 
-class PartnerSearch(NamedTuple):
-    """The cells and trees of G scans in which ``partners`` searches."""
+class PartnerSearch:
+    """The points of G scans, in which ``partners`` searches: by a grid where kernels run, else by cells and trees."""
 
-    occupancy: Occupancy  # where partners can be
-    around: Occupancy  # cells around the points, several thresholds wide
-    trees: Sequence[PointIndex]  # over the points of every scan
-    first: Sequence[int]  # the row of every scan's first point among the points of all
+    def __init__(self, points: Tensor, sizes: Sequence[int], threshold: Tensor) -> None:
+        """Take the points (3, P) float32 of scans one after another, and the thresholds (G,) float64, meters."""
+        self._points, self._sizes, self._threshold = points, sizes, threshold
+        self.first: list[int] = offsets_of(sizes)[:-1].tolist()
+        """The row of every scan's first point among the points of all."""
+
+    @cached_property
+    def grid(self) -> PartnerGrid:
+        """For compiled searches."""
+        return partner_grid(self._points, self._sizes, self._threshold)
+
+    @cached_property
+    def occupancy(self) -> Occupancy:
+        """Where partners can be."""
+        return occupancy(self._points, self._sizes, self._threshold)
+
+    @cached_property
+    def trees(self) -> list[PointIndex]:
+        """Over the points of every scan."""
+        return [PointIndex(part.t().contiguous()) for part in self._points.split(list(self._sizes), dim=1)]
 
 
 class Partners(NamedTuple):
-    """The nearest points of queries, of those that have one within the threshold."""
+    """The nearest points of queries, of those that have one within the limit."""
 
     row: Tensor  # (R, L) int64, among the points of all scans; any legal row where there is none
-    square: Tensor  # (R, L) squared meters, of others infinite or beyond the squared threshold
+    square: Tensor  # (R, L) squared meters, of others infinite or not below the squared limit
 
 
-def partners(search: PartnerSearch, pair: Tensor, moved: Tensor, valid: Tensor) -> Partners:
+def partners(search: PartnerSearch, pair: Tensor, moved: Tensor, valid: Tensor, square_limit: Tensor) -> Partners:
     """Find the nearest point of every query, ``moved`` (3, R, L) float32 in the frames of the scans, meters.
 
     ``pair`` (R,) ascends, the pair that each row of queries belongs to; ``valid`` (R, L) is false behind its end.
+    ``square_limit`` (R,) float32 are squares of the thresholds of the search, or less. Where several points are equally
+    near, kernels take the lowest row, a tree may take another.
     """
+    if native(moved, pair, valid, square_limit):
+        return Partners(*nearest_in_grid(search.grid, pair, moved, valid, square_limit))
     asked = (can_be_near(search.occupancy, pair, moved) & valid).view(-1).nonzero()[:, 0]  # (Q,)
     queries = moved.view(3, -1).index_select(1, asked).t().contiguous()
     row, square = torch.zeros_like(asked), queries.new_zeros(len(asked))
@@ -84,6 +108,9 @@ def occupancy(points: Tensor, sizes: Sequence[int], threshold: Tensor) -> Occupa
     volumes = counts.prod(dim=0)
     reached = torch.zeros(int(volumes.sum()), dtype=torch.bool, device=device)
     cells = Occupancy(low, width, last, stride, volumes.cumsum(0) - volumes, reached)
+    if native(points):
+        call("mark_reached", points.contiguous(), offsets_of(sizes), *cells, points.shape[1], len(sizes), len(reached))
+        return cells
     scan = torch.arange(len(sizes), device=device).repeat_interleave(torch.tensor(sizes, device=device))
     middle, stride = _cell(cells, scan, points), stride[:, scan]
     for steps in product((-1, 0, 1), repeat=3):
@@ -94,6 +121,16 @@ def occupancy(points: Tensor, sizes: Sequence[int], threshold: Tensor) -> Occupa
 def can_be_near(cells: Occupancy, scan: Tensor, queries: Tensor) -> Tensor:
     """False (R, N) where no point of a row's scan (R,) is nearer to the query (3, R, N) than the threshold."""
     return cells.reached.index_select(0, _cell(cells, scan[:, None], queries).view(-1)).view(queries.shape[1:])
+
+
+def near_counts(cells: Occupancy, scan: Tensor, queries: Tensor, valid: Tensor) -> Tensor:
+    """How many (R,) int64 of the queries (3, R, N), where ``valid`` (R, N), ``can_be_near``."""
+    if not native(queries):
+        return (can_be_near(cells, scan, queries) & valid).sum(dim=1)
+    counts = torch.empty_like(scan)
+    parts = (queries.contiguous(), scan, valid.contiguous())
+    call("near_counts", *parts, *cells, counts, len(cells.first), *queries.shape[1:])
+    return counts
 
 
 def _cell(cells: Occupancy, scan: Tensor, points: Tensor) -> Tensor:

@@ -15,15 +15,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.gather import gather_columns
 from torchreg.geometry.numerics.sums import padded_length
-from torchreg.neighborhoods.point_index import PointIndex
+from torchreg.native import call, native
 from torchreg.types import Clouds
 from torchreg.types.packing import offsets_of
 from torchreg.verification.free_space import RangeImages, range_image, side_by_side
-from torchreg.verification.partners import PartnerSearch, occupancy
+from torchreg.verification.partners import Occupancy, PartnerSearch, occupancy
 
-_STRIDE = 3  # of the points that strength and features are compared on
+STRIDE = 3  # of the points that strength and features are compared on
 _GRAZING = 0.15  # sine of the angle between ray and surface below which the side of the surface is not sure
 _AROUND = 3.0  # thresholds within which a point stands near the other scan
 
@@ -44,7 +43,8 @@ class Scans(NamedTuple):
     faced: Tensor  # (G, L) bool, of the samples, where the side of a surface is known (``_faced``)
     all_faced: Tensor  # (P,) bool, likewise of all points
     search: PartnerSearch  # for the nearest of all points
-    # of geometry and of color: (D, G, L') of every third point of the samples, and (D, P); ``None`` without
+    around: Occupancy  # cells around all points, several thresholds wide
+    # of geometry and of color: (G, L', D) of every third point of the samples, and (P, D); ``None`` without
     features: tuple[Tensor | None, ...]
     all_features: tuple[Tensor | None, ...]
     images: RangeImages | None  # of the scanners whose position is known, ``None`` where no position is
@@ -81,7 +81,6 @@ def prepared_scans(
     points = torch.cat([cloud.points for cloud in clouds]).t().contiguous()
     normals, colors = planes([cloud.normals for cloud in clouds]), planes([cloud.colors for cloud in clouds])
     colors = None if colors is None else colors.double()
-    trees = [PointIndex(cloud.points) for cloud in clouds]
     images = [
         range_image(cloud.points, cloud.viewpoint[0], spacing)
         if cloud.viewpoint is not None and bool(cloud.viewpoint_known[0])
@@ -90,7 +89,8 @@ def prepared_scans(
     ]
     faced = torch.cat([_faced(cloud) for cloud in clouds])
     known = [image for image in images if image is not None]
-    all_features = tuple(map(planes, zip(*features, strict=True)))
+    rows_of_features = [[part for part in parts if part is not None] for parts in zip(*features, strict=True)]
+    all_features = tuple(torch.cat(parts).float().contiguous() if parts else None for parts in rows_of_features)
     thin = thinned(rows)
     seen = torch.tensor([image is not None for image in images])
     return Scans(
@@ -106,13 +106,9 @@ def prepared_scans(
         origin=torch.cat([cloud.origin for cloud in clouds]),
         faced=faced[rows] & valid,
         all_faced=faced,
-        search=PartnerSearch(
-            occupancy(points, sizes, threshold),
-            occupancy(points, sizes, _AROUND * threshold),
-            trees,
-            offsets_of(sizes)[:-1].tolist(),
-        ),
-        features=tuple(None if part is None else gather_columns(part, thin) for part in all_features),
+        search=PartnerSearch(points, sizes, threshold),
+        around=occupancy(points, sizes, _AROUND * threshold),
+        features=tuple(None if part is None else part[thin] for part in all_features),
         all_features=all_features,
         images=side_by_side(known) if known else None,
         image=torch.where(seen, seen.cumsum(0) - 1, -1).to(device),
@@ -134,7 +130,7 @@ def _faced(cloud: Clouds) -> Tensor:
 
 def thinned(values: Tensor) -> Tensor:
     """Every third of (..., L), filled up with zeros to a length that sums want."""
-    thin = values[..., ::_STRIDE]
+    thin = values[..., ::STRIDE]
     return torch.nn.functional.pad(thin, (0, padded_length(thin.shape[-1]) - thin.shape[-1]))
 
 
@@ -154,3 +150,12 @@ def rotated(rotation: Tensor, planes: Tensor) -> Tensor:
         torch.mul(rotation[:, i, 0, None], x, out=out[i])
         out[i].add_(rotation[:, i, 1, None] * y).add_(rotation[:, i, 2, None] * z)
     return out
+
+
+def moved_points(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
+    """The samples of pairs (R,) under poses (R, 3, 3), (R, 3) float32: (3, R, L)."""
+    if not native(scans.points, rotation, translation):
+        return rotated(rotation, scans.points[:, pair]).add_(translation.t()[..., None])
+    moved = torch.empty(3, len(pair), scans.points.shape[2])
+    call("moved_points", scans.points, pair, rotation, translation, moved, *scans.points.shape[1:2], *moved.shape[1:])
+    return moved

@@ -8,6 +8,7 @@ from problems import sphere_cloud
 
 import torchreg as tr
 from torchreg.geometry.numerics import compiled
+from torchreg.native import native_kernels
 
 # what torch's own compiler does on its way
 pytestmark = [
@@ -15,6 +16,13 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:.torch.jit.script_method. is deprecated:DeprecationWarning"),
     pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning"),
 ]
+
+
+@pytest.fixture(autouse=True)
+def _kernels_of_torch():
+    """The library of compiled kernels would do the work of hard histograms."""
+    with native_kernels(False):
+        yield
 
 
 def described(cloud, near, binning):

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchreg.geometry.numerics.chunks import stable_sum
-from torchreg.geometry.numerics.sums import RowSums, padded_length, padded_row_sums, row_sums, sum_in_order
+from torchreg.geometry.numerics.sums import padded_length, padded_row_sums, row_sums, sum_in_order
 
 
 def rows(count, width):
@@ -23,28 +23,6 @@ def test_a_sum_of_rows_is_the_stable_sum(width, count):
         with threads(number):
             assert same_bits(row_sums(values), expected)
             assert same_bits(row_sums(torch.nn.functional.pad(values, (0, 3000))), expected)
-
-
-def test_nothing_is_left_of_what_was_summed_before():
-    sums = RowSums(5, 1100, torch.device("cpu"))
-    many, few = rows(5, 1100), rows(2, 40)
-    for values in (many, few):
-        row = torch.arange(len(values)).repeat_interleave(values.shape[1])
-        places = sums.places(row, torch.arange(values.shape[1]).repeat(len(values)))
-        for factor in (3.0, 1.0):
-            found = sums.placed(factor * values.flatten(), places, len(values))
-            assert same_bits(found, stable_sum((factor * values).t()))
-        sums.clear(places)
-
-
-def test_rows_of_different_lengths_stand_side_by_side():
-    sums = RowSums(3, 1500, torch.device("cpu"))
-    lengths = [1500, 0, 9]
-    values = [rows(1, length)[0] for length in lengths]
-    row = torch.arange(3).repeat_interleave(torch.tensor(lengths))
-    places = sums.places(row, torch.cat([torch.arange(length) for length in lengths]))
-    found = sums.placed(torch.cat(values), places, 3)
-    assert all(same_bits(one, stable_sum(own)) for one, own in zip(found, values, strict=True))
 
 
 def test_the_sum_of_nothing_is_zero():

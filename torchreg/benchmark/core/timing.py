@@ -19,12 +19,12 @@ def interleaved(
     """
     seconds: dict[str, list[float]] = {}
     for name, run in runs.items():
-        first = _seconds(run)
+        first = seconds_of(run)
         seconds[name] = [first] if first > patience else []
     for _ in range(repeats):
         for name, run in runs.items():
             if sum(seconds[name]) < patience:
-                seconds[name].append(_seconds(run))
+                seconds[name].append(seconds_of(run))
     return seconds
 
 
@@ -36,7 +36,8 @@ def spread(seconds: Sequence[float]) -> str:
     return f"{median(seconds) * scale:.3g} {unit} ({min(seconds) * scale:.3g} to {max(seconds) * scale:.3g})"
 
 
-def _seconds(run: Callable[[], Any]) -> float:
+def seconds_of(run: Callable[[], Any]) -> float:
+    """Wall-clock seconds of one run."""
     begin = time.perf_counter()
     run()
     return time.perf_counter() - begin

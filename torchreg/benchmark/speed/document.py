@@ -11,8 +11,10 @@ from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Picture
 from torchreg.benchmark.core.tables import markdown_table
 from torchreg.benchmark.core.timing import spread
+from torchreg.benchmark.speed import batches, busy, large
 from torchreg.benchmark.speed.grid import RANSAC, STAGES, WHOLE
 from torchreg.benchmark.speed.scene import NEIGHBORS
+from torchreg.benchmark.speed.side_by_side import in_bytes, of_part, table_of_part
 from torchreg.benchmark.speed.subjects import CLASSIC, COMPILED, METHODS, OURS, TENSOR
 from torchreg.errors import expect
 
@@ -22,14 +24,21 @@ CAPTION = (
     "Two stations of a simulated mall, so many points a cloud drawn at random; supports 2 spacings (normals, 30 "
     f"nearest; color) and 5 spacings (FPFH, {NEIGHBORS} nearest). Stages take neighborhoods that are at hand, but for "
     "the rows that say search; Open3D searches in every stage. Open3D computes FPFH alone wherever it says FPFH + "
-    "PCFH, and in the whole pair. RANSAC and the whole pair draw all hypotheses (600,000 in the whole pair), without "
-    "an early end. Medians in turn after a warm-up, least and most in brackets."
+    "PCFH, and in the whole pair. RANSAC and the whole pair draw all hypotheses (600,000 in the whole pair, few in a "
+    "quick run), without an early end. Medians in turn after a warm-up, least and most in brackets."
 )
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """All tables with their captions."""
-    parts = [CAPTION, times_table(rows), growth_table(rows), memory_table(rows)]
+    stages = of_part(rows, "stages")
+    parts = [CAPTION, times_table(stages), growth_table(stages), memory_table(stages)] if stages else []
+    further = {
+        batches.CAPTION: table_of_part(rows, batches.BATCHES),
+        large.CAPTION: table_of_part(rows, large.LARGE),
+        busy.CAPTION: busy.table(rows),
+    }
+    parts += [text for caption, table in further.items() if table for text in (caption, table)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -73,7 +82,7 @@ def memory_table(rows: Sequence[Row]) -> str:
     if not measured:
         return ""
     lines = [
-        [row["subject"], size_of(row), *(_bytes(row["bytes"].get(method)) for method in METHODS)] for row in measured
+        [row["subject"], size_of(row), *(in_bytes(row["bytes"].get(method)) for method in METHODS)] for row in measured
     ]
     return "Peak memory above clouds and imports:\n\n" + markdown_table(["stage", "size", *METHODS], lines)
 
@@ -116,6 +125,7 @@ def draw(rows: Sequence[Row], folder: Path) -> Iterator[Picture]:
     """Draw and save seconds over points, one panel per stage, both axes logarithmic."""
     from matplotlib.figure import Figure
 
+    rows = of_part(rows, "stages")
     names = [name for name in STAGES if any(row["subject"] == name for row in rows)]
     if not names:
         return
@@ -154,9 +164,3 @@ def _in_order(rows: Sequence[Row]) -> list[Row]:
     order = list(dict.fromkeys(row["subject"] for row in rows if row["subject"] not in (RANSAC, WHOLE)))
     order += [RANSAC, WHOLE]
     return sorted(rows, key=lambda row: order.index(row["subject"]))
-
-
-def _bytes(count: int | None) -> str:
-    if count is None:
-        return ""
-    return f"{count / 2**30:.2f} GiB" if count >= 2**30 else f"{count / 2**20:.0f} MiB"

@@ -43,8 +43,8 @@ class TimedCell:
         return f"{self.subject}, {self.points:,} points, {self.neighbors} neighbors{drawn}"
 
 
-def cells(points: tuple[int, ...] = POINTS) -> Iterator[TimedCell]:
-    """All cells, smaller clouds first."""
+def cells(points: tuple[int, ...] = POINTS, hypotheses: tuple[int, ...] = HYPOTHESES) -> Iterator[TimedCell]:
+    """All cells, smaller clouds first; whole pairs draw the last number of hypotheses."""
     middle = min(points, key=lambda count: abs(count - _PAIR_POINTS))
     for count in sorted(points):
         for name, build in STAGES.items():
@@ -56,7 +56,9 @@ def cells(points: tuple[int, ...] = POINTS) -> Iterator[TimedCell]:
         if count <= max(middle, _PAIR_POINTS):
             yield TimedCell(subject=MATCHING, points=count, build=subjects.matching)
         if count == middle:
-            for number in HYPOTHESES:
+            for number in hypotheses:
                 yield TimedCell(subject=RANSAC, points=count, hypotheses=number, build=subjects.hypotheses(number))
         if count <= max(middle, _PAIR_POINTS):
-            yield TimedCell(subject=WHOLE, points=count, hypotheses=HYPOTHESES[-1], build=subjects.whole)
+            yield TimedCell(
+                subject=WHOLE, points=count, hypotheses=hypotheses[-1], build=subjects.whole(hypotheses[-1])
+            )

@@ -24,9 +24,9 @@ from torchreg.preprocess import estimate_normals
 from torchreg.reference import open3d
 from torchreg.reference.legacy import feature, hybrid, point_cloud
 from torchreg.registration import PAPER
-from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.solvers.ransac import RansacOptions, ransac
+from torchreg.types import Clouds, Correspondences
 
 OURS, COMPILED, CLASSIC, TENSOR = "torchreg", "torchreg, compiled", "Open3D", "Open3D, tensor"
 METHODS = (OURS, COMPILED, CLASSIC, TENSOR)
@@ -104,49 +104,51 @@ def hypotheses(count: int) -> Subject:
     """So many RANSAC hypotheses over the mutual matches, without an early end."""
 
     def subject(scene: TimedScene) -> dict[str, Run]:
-        o3d = load_open3d()
-        registration = o3d.pipelines.registration
         threshold = 1.5 * scene.source.spacing
         options = RansacOptions(hypotheses=count, confidence=1.0, inlier_threshold=threshold)
-        source, target, matches = scene.source.cloud, scene.target.cloud, scene.matches
-        clouds = [point_cloud(source), point_cloud(target)]
-        pairs = o3d.utility.Vector2iVector(torch.stack([matches.source, matches.target], dim=1).int().numpy())
-        checkers = [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(options.edge_similarity),
-            registration.CorrespondenceCheckerBasedOnDistance(threshold),
-        ]
-
-        def classic() -> object:
-            return registration.registration_ransac_based_on_correspondence(
-                *clouds,
-                pairs,
-                threshold,
-                registration.TransformationEstimationPointToPoint(False),
-                options.sample_size,
-                checkers,
-                registration.RANSACConvergenceCriteria(count, 1.0),
-            )
-
-        return {OURS: lambda: ransac(source, target, matches, options), CLASSIC: classic}
+        given = scene.source.cloud, scene.target.cloud, scene.matches
+        return {OURS: lambda: ransac(*given, options), CLASSIC: matched_ransac(*given, options)}
 
     return subject
 
 
-def whole(scene: TimedScene) -> dict[str, Run]:
-    """From points to the transform: 600,000 hypotheses without an early end; Open3D by FPFH alone."""
-    options = _whole_options(scene.source.spacing)
-    alone = options.without_color()
-    clouds = scene.source.cloud, scene.target.cloud
-    return {**_ours(lambda: register(*clouds, options)), CLASSIC: lambda: open3d.register(*clouds, alone)}
-
-
-def _whole_options(spacing: float) -> RegistrationOptions:
-    return replace(
-        PAPER,
-        normal_radius=2 * spacing,
-        descriptors=(Fpfh(radius=5 * spacing), Pcfh(radius=2 * spacing)),
-        solver=RansacOptions(confidence=1.0, inlier_threshold=1.5 * spacing),
+def matched_ransac(source: Clouds, target: Clouds, matches: Correspondences, options: RansacOptions) -> Run:
+    """Open3D's RANSAC over the matches of one pair, its hypotheses, threshold and tests those of the options."""
+    o3d = load_open3d()
+    registration = o3d.pipelines.registration
+    clouds = [point_cloud(source), point_cloud(target)]
+    pairs = o3d.utility.Vector2iVector(torch.stack([matches.source, matches.target], dim=1).int().numpy())
+    checkers = [
+        registration.CorrespondenceCheckerBasedOnEdgeLength(options.edge_similarity),
+        registration.CorrespondenceCheckerBasedOnDistance(options.inlier_threshold),
+    ]
+    return lambda: registration.registration_ransac_based_on_correspondence(
+        *clouds,
+        pairs,
+        options.inlier_threshold,
+        registration.TransformationEstimationPointToPoint(False),
+        options.sample_size,
+        checkers,
+        registration.RANSACConvergenceCriteria(options.hypotheses, options.confidence),
     )
+
+
+def whole(count: int) -> Subject:
+    """From points to the transform: so many hypotheses without an early end; Open3D by FPFH alone."""
+
+    def subject(scene: TimedScene) -> dict[str, Run]:
+        spacing = scene.source.spacing
+        options = replace(
+            PAPER,
+            normal_radius=2 * spacing,
+            descriptors=(Fpfh(radius=5 * spacing), Pcfh(radius=2 * spacing)),
+            solver=RansacOptions(hypotheses=count, confidence=1.0, inlier_threshold=1.5 * spacing),
+        )
+        alone = options.without_color()
+        clouds = scene.source.cloud, scene.target.cloud
+        return {**_ours(lambda: register(*clouds, options)), CLASSIC: lambda: open3d.register(*clouds, alone)}
+
+    return subject
 
 
 def _ours(run: Run) -> dict[str, Run]:

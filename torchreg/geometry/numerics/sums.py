@@ -7,7 +7,6 @@ rows need no whole block: multiples of 64 are added in the same order, whatever 
 
     row_sums         of any rows, which it fills up
     padded_row_sums  of rows that are filled up to ``padded_length`` already
-    RowSums          of many batches of rows of one width, in memory that is allocated once
     sum_in_order     of a few terms each, one after another
 """
 
@@ -49,34 +48,3 @@ def sum_in_order(values: Tensor) -> Tensor:
     for row in values.unbind(dim=-2):
         total += row
     return total
-
-
-class RowSums:
-    """Sums of rows of at most ``width`` entries, of at most ``rows`` rows at a time; float64."""
-
-    def __init__(self, rows: int, width: int, device: torch.device) -> None:
-        self._blocks = max(1, -(-width // BLOCK))
-        # two rows at least: a single sum is a full reduction, which threads may split
-        self._buffer = torch.zeros(max(2, rows), self._blocks * BLOCK, dtype=torch.float64, device=device)
-
-    def __call__(self, values: Tensor) -> Tensor:
-        """Sums (R,) of values (R, K); K is the same in every call."""
-        self._buffer[: len(values), : values.shape[1]] = values
-        return self._sums(len(values))
-
-    def places(self, row: Tensor, place: Tensor) -> Tensor:
-        """The places (T,) of entries for ``placed``, from their rows and their places within these."""
-        return row * self._buffer.shape[1] + place
-
-    def placed(self, values: Tensor, places: Tensor, rows: int) -> Tensor:
-        """Sums (rows,) of values (T,) at ``places`` (T,); zeros at all places that no call has filled."""
-        self._buffer.view(-1)[places] = values
-        return self._sums(rows)
-
-    def clear(self, places: Tensor) -> None:
-        """Put zeros back at the places of a call of ``placed``."""
-        self._buffer.view(-1)[places] = 0.0
-
-    def _sums(self, rows: int) -> Tensor:
-        partial = self._buffer[: max(2, rows)].view(-1, self._blocks, BLOCK).sum(dim=2)[:rows]  # (R, blocks)
-        return partial.cumsum(dim=1)[:, -1] if self._blocks > 1 else partial[:, 0]

@@ -1,9 +1,11 @@
 // What all kernels share. Every kernel is a C function that takes pointers to contiguous tensors, numbers as int64_t or
 // double, and last the number of threads; it allocates its own working memory and returns an int64_t.
 //
-// Bits: the library is compiled without contraction to fused multiply-adds and without reordering, so that + - * / and
-// sqrt give what torch's elementwise operations give, in any lane and any thread. A kernel adds in the order that the
-// function in torch adds in, and a result never depends on which thread computed it.
+// Bits: the library is compiled without contraction to fused multiply-adds and without reordering, so that + - * and /
+// give what torch's elementwise operations give, in any lane and any thread. torch.sqrt does not everywhere: where torch
+// takes roots from a vector library, about one in 150 is off by the last bit, and its addcmul fuses. So what both
+// compute avoids roots, or takes them as x times rsqrt(x). A kernel adds in the order that the function in torch adds
+// in, and a result never depends on which thread computed it.
 #pragma once
 
 #include <algorithm>

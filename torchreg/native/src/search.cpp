@@ -124,6 +124,16 @@ struct Around {  // the points near a leaf
     }
 };
 
+template <typename T>
+inline T diagonal(const Box<T>& box) {
+    T square = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+        const T side = box.high[axis] - box.low[axis];
+        square += side * side;
+    }
+    return square;
+}
+
 // The neighborhoods of one cloud: points (n, 3), whose first row is `begin` among all; outputs are the rows of the cloud.
 template <typename T>
 void search_cloud(const T* points, int64_t n, int64_t begin, T limit, int64_t slots, int64_t* index, bool* valid,
@@ -132,6 +142,7 @@ void search_cloud(const T* points, int64_t n, int64_t begin, T limit, int64_t sl
     std::vector<int32_t> order(n);
     build_tree(points, n, planes.data(), order.data(), boxes.data(), threads);
     const Tree<T> tree(planes.data(), order.data(), boxes.data(), n);
+    const T whole = diagonal(tree.box(0, 0));
     const int64_t workers = std::max<int64_t>(1, threads);
     std::vector<Around<T>> near(workers);
     std::vector<Sorter<T>> sorters(workers);
@@ -145,12 +156,8 @@ void search_cloud(const T* points, int64_t n, int64_t begin, T limit, int64_t sl
             for (int64_t i = from; i < to; ++i) pending[left++] = i;
             // Where many more points than slots lie within the radius, a smaller one finds the nearest too: the first is
             // that of a disk which holds somewhat more than the slots at the density of the leaf.
-            T diagonal = 0;
-            for (int axis = 0; axis < 3; ++axis) {
-                const T side = box.high[axis] - box.low[axis];
-                diagonal += side * side;
-            }
-            T reach = std::min(limit, std::max(diagonal * T(0.02) * T(slots), limit * T(1e-12)));
+            T reach = std::min(limit, std::max(diagonal(box) * T(0.02) * T(slots), std::min(limit, whole) * T(1e-10)));
+            if (!(reach > 0)) reach = limit;  // copies of one point, or a radius whose square is hardly a number
             while (left > 0) {
                 around.gather(tree, box, reach);
                 int64_t most = 0, open = 0;

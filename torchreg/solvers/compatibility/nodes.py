@@ -23,13 +23,16 @@ where each stands for as many around it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from torchreg.geometry.morton import morton_order
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.solvers.compatibility.graph import TILE_ELEMENTS, agreeing, lengths
+from torchreg.native import call, native
+from torchreg.solvers.compatibility.graph import TILE_ELEMENTS, agreeing, squares
+from torchreg.solvers.points import KERNEL_TYPES
 
 _ANCHORS = 512  # points that stand for all in the histograms
 _BINS = 64  # over the largest distance
@@ -55,6 +58,11 @@ def choose_nodes(source: Tensor, target: Tensor, threshold: float, count: int) -
 def degrees(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     """(M,), whole numbers: how many correspondences agree with each, itself counted. Each two are compared once."""
     matches = source.shape[1]
+    if native(source, target) and source.dtype in KERNEL_TYPES:
+        counted = torch.empty(matches, dtype=source.dtype)
+        kernel, per_square = f"degrees_{KERNEL_TYPES[source.dtype]}", 1 / (threshold * threshold)
+        call(kernel, source.contiguous(), target.contiguous(), matches, per_square, counted)
+        return counted
     degree, spare = torch.zeros_like(source[0]), source.new_empty(3, TILE_ELEMENTS)
     for rows in row_chunks(matches, _COLUMNS, TILE_ELEMENTS):
         p, q = source[:, rows], target[:, rows]
@@ -69,6 +77,12 @@ def degrees(source: Tensor, target: Tensor, threshold: float) -> Tensor:
 
 def degrees_among(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], threshold: float) -> Tensor:
     """(M,), whole numbers: how many of ``others``, (3, N) twice, agree with each of ``points``, (3, M) twice."""
+    if native(*points, *others) and points[0].dtype in KERNEL_TYPES:
+        counted = torch.empty(points[0].shape[1], dtype=points[0].dtype)
+        p, q, r, s = (side.contiguous() for side in (*points, *others))
+        kernel, per_square = f"degrees_among_{KERNEL_TYPES[points[0].dtype]}", 1 / (threshold * threshold)
+        call(kernel, p, q, p.shape[1], r, s, r.shape[1], per_square, counted)
+        return counted
     degree, spare = torch.zeros_like(points[0][0]), points[0].new_empty(3, TILE_ELEMENTS)
     for rows in row_chunks(len(degree), _COLUMNS, TILE_ELEMENTS):
         for columns in row_chunks(others[0].shape[1], 1, _COLUMNS):
@@ -80,14 +94,25 @@ def degrees_among(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], 
 def _excess(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], degree: Tensor, threshold: float) -> Tensor:
     """(M,) float64: how far the degrees exceed those expected by chance, in standard deviations."""
     width = max(threshold / 2, max(map(_reach, points)) / (_BINS - 1))
-    anchors = [_anchors(side) for side in others]
-    parts = [
-        _alike(*(_histogram(side[:, rows], among, width) for side, among in zip(points, anchors, strict=True)))
-        for rows in row_chunks(len(degree), _ANCHORS, TILE_ELEMENTS)
-    ]
-    chance = torch.cat(parts)
+    chance = _chance(points, [_anchors(side) for side in others], width)
     expected = chance * (degree.double().sum() / chance.sum().clamp(min=1))
     return (degree - expected) / (expected + 1).sqrt()
+
+
+def _chance(points: tuple[Tensor, Tensor], anchors: Sequence[Tensor], width: float) -> Tensor:
+    """(M,) float64, whole numbers: how alike the lengths from points (3, M) to anchors (3, A) are on the two sides."""
+    count = points[0].shape[1]
+    if native(*points, *anchors) and points[0].dtype in KERNEL_TYPES:
+        alike = torch.empty(count, dtype=torch.float64)
+        p, q, a, b = (side.contiguous() for side in (*points, *anchors))
+        by = (1 / (width * width), _BINS, _SMOOTHED, alike)
+        call(f"chance_{KERNEL_TYPES[points[0].dtype]}", p, q, count, a, a.shape[1], b, b.shape[1], *by)
+        return alike
+    parts = [
+        _alike(*(_histogram(side[:, rows], among, width) for side, among in zip(points, anchors, strict=True)))
+        for rows in row_chunks(count, _ANCHORS, TILE_ELEMENTS)
+    ]
+    return torch.cat(parts)
 
 
 def _highest(excess: Tensor, count: int) -> Tensor:
@@ -117,7 +142,12 @@ def _anchors(points: Tensor) -> Tensor:
 def _histogram(points: Tensor, anchors: Tensor, width: float) -> Tensor:
     """Counts (R, bins) float64 of the lengths from points (3, R) to anchors (3, A)."""
     out, between = points.new_empty(2, points.shape[1], anchors.shape[1])
-    bins = lengths(points, anchors, out, between).div_(width).long().clamp_(0, _BINS - 1)
+    square = squares(points, anchors, out, between).mul_(1 / (width * width))
+    bins = square.sqrt().floor_().clamp_(max=_BINS - 1)
+    # by whole numbers, and so whatever the last bit of the root
+    bins += ((bins + 1).square_() <= square).to(bins)
+    bins -= (bins * bins > square).to(bins)
+    bins = bins.clamp_(max=_BINS - 1).long()
     bins += torch.arange(len(bins), device=bins.device)[:, None] * _BINS
     return torch.bincount(bins.flatten(), minlength=len(bins) * _BINS).reshape(-1, _BINS).double()
 

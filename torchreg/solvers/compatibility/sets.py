@@ -10,14 +10,17 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.geometry.kabsch import from_moments
+from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.sums import sum_in_order
+from torchreg.native import call, native
 from torchreg.solvers.compatibility.graph import second_order
 
 _ITERATIONS = 4
 _MIN_SINE = 0.05  # as of a minimal sample: spread across the main direction, of the spread along it
 _PLACES = 1 << 12  # more than there are nodes; twice as many nodes' counts stay whole in float32
+
+_EXACT = 98  # members of whose sets the weights stay below 2^53 in any case
 
 
 def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tensor]:
@@ -27,6 +30,12 @@ def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tenso
     members (N, narrow') int64, the seed first, and weights (N, narrow') float64, zero for no member.
     """
     count = len(graph)
+    narrow = min(narrow, min(wide, count - 1) + 1)
+    if native(graph) and graph.dtype == torch.float32 and narrow <= _EXACT:
+        members = torch.empty(count, narrow, dtype=torch.int64)
+        weights = torch.empty(count, narrow, dtype=torch.float64)
+        call("consensus_sets", graph.contiguous(), count, min(wide, count - 1), narrow, members, weights)
+        return members, weights
     shared = second_order(graph).fill_diagonal_(-1)  # no node is its own partner, not even for lack of others
     partners = _largest(shared, min(wide, count - 1))  # (N, wide)
     seeds = torch.arange(count, device=graph.device)
@@ -34,7 +43,7 @@ def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tenso
     inside = _subgraphs(graph, members)
     within = (inside[:, :1] @ inside)[:, 0] * inside[:, 0]  # the seed's row of the second order
     within[:, 0] = -1  # the seed stands first in any case
-    nearest = _largest(within, min(narrow, members.shape[1]) - 1)
+    nearest = _largest(within, narrow - 1)
     kept = torch.cat([torch.zeros_like(nearest[:, :1]), nearest], dim=1)  # (N, narrow)
     inside = inside.gather(1, kept[:, :, None].expand(-1, -1, inside.shape[2])).gather(
         2, kept[:, None].expand(-1, kept.shape[1], -1)
@@ -47,17 +56,27 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
 
     Returns rotations (3, 3, S), translations (3, S), and which sets (S,) determine the rotation: spread across a line.
     """
+    sets, size = members.shape
+    if native(source, target, members, weights):
+        rotation, translation = source.new_empty(3, 3, sets), source.new_empty(3, sets)
+        fixed = torch.empty(sets, dtype=torch.bool)
+        points = (source.contiguous(), target.contiguous(), source.shape[1])
+        of_sets = (members.contiguous(), weights.contiguous(), sets, size)
+        call("fit_sets", *points, *of_sets, _MIN_SINE * _MIN_SINE, rotation, translation, fixed)
+        return rotation, translation, fixed
+    none = [source.new_zeros(*shape, 0) for shape in ((3,), (3,), (3, 3))]
     parts = [
-        _fit(source, target, members[rows].t(), weights[rows].t().contiguous())
-        for rows in row_chunks(len(members), 9 * members.shape[1])
+        _moments(source, target, members[rows].t(), weights[rows].t().contiguous())
+        for rows in row_chunks(sets, 9 * size)
     ]
-    none = (source.new_zeros(3, 3, 0), source.new_zeros(3, 0), weights.new_zeros(0, dtype=torch.bool))
-    rotation, translation, fixed = (torch.cat(part, dim=-1) for part in zip(none, *parts, strict=True))
-    return rotation, translation, fixed
+    none.append(weights.new_zeros(0, dtype=torch.bool))
+    mean_p, mean_q, covariance, fixed = (torch.cat(part, dim=-1) for part in zip(none, *parts, strict=True))
+    rotation = best_rotation(covariance)
+    return rotation, best_translation(rotation, mean_p, mean_q), fixed
 
 
-def _fit(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """``fit_sets`` of members and weights (K, S)."""
+def _moments(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Of members and weights (K, S): means (3, S) twice, covariances (3, 3, S), and which spread across a line."""
     total = sum_in_order(weights)
     share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
     p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
@@ -65,10 +84,9 @@ def _fit(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tu
     p, q = p - mean_p[:, None], q - mean_q[:, None]
     weighted = p * share
     covariance = sum_in_order(weighted[:, None] * q[None])  # (3, 3, S)
-    T = from_moments(mean_p.t(), mean_q.t(), covariance.permute(2, 0, 1))
     broad = _spans_plane(sum_in_order(weighted[:, None] * p[None]))
     broad &= _spans_plane(sum_in_order((q * share)[:, None] * q[None]))
-    return T[:, :3, :3].permute(1, 2, 0), T[:, :3, 3].t(), broad & (total > 0)
+    return mean_p, mean_q, covariance, broad & (total > 0)
 
 
 def _largest(counts: Tensor, number: int) -> Tensor:

@@ -1,0 +1,73 @@
+"""Kernels of descriptors: the bits of the functions in torch, which keep their own tests."""
+
+import pytest
+import torch
+from determinism import same_bits
+from kernel_cases import COUNTS, KINDS, cloud_of, same_both_ways, supports
+
+import torchreg as tr
+from torchreg.descriptors.fpfh import simplified_histograms
+from torchreg.descriptors.histograms import add_weighted_neighbors
+from torchreg.native import native_library
+
+pytestmark = pytest.mark.skipif(not native_library(), reason="no compiler was at hand when the package was installed")
+
+everywhere = pytest.mark.parametrize(("count", "kind"), [(count, kind) for count in COUNTS for kind in KINDS])
+
+
+@everywhere
+def test_simplified_histograms_are_those_of_torch(count, kind):
+    cloud = cloud_of(count)
+    near = supports(cloud)[kind]
+    assert same_both_ways(lambda: simplified_histograms(cloud.points, cloud.normals, near))
+
+
+@everywhere
+@pytest.mark.parametrize(("columns", "bins"), [(33, 11), (11, 11), (7, 7), (64, 4), (35, 7)])
+def test_weighted_sums_are_those_of_torch(count, kind, columns, bins):
+    near = supports(cloud_of(count))[kind]
+    histograms = torch.rand(count, columns, generator=torch.Generator().manual_seed(1)) * 100
+    histograms[::3] = 0
+    for keep_own in (False, True):
+        assert same_both_ways(lambda own=keep_own: add_weighted_neighbors(histograms, near, bins, keep_own=own))
+
+
+@everywhere
+@pytest.mark.parametrize("weighting", [False, True])
+@pytest.mark.parametrize("channels", [("hue",), ("value", "hue", "saturation"), ("hue", "hue")])
+def test_color_histograms_are_those_of_torch(count, kind, channels, weighting):
+    cloud = cloud_of(count)
+    near = supports(cloud)[kind]
+    assert same_both_ways(lambda: tr.pcfh(cloud, near, bins=9, channels=channels, saturation_weighting=weighting))
+
+
+@everywhere
+def test_contrast_is_that_of_torch(count, kind):
+    cloud = cloud_of(count)
+    near = supports(cloud)[kind]
+    assert same_both_ways(lambda: tr.contrast(cloud, near, 0.5))
+    radius = torch.linspace(0.1, 0.6, count)
+    assert same_both_ways(lambda: tr.contrast(cloud, near, radius))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_fpfh_is_that_of_torch_on_other_clouds(seed):
+    cloud = cloud_of(500, seed)
+    near = tr.neighbors(cloud, 0.5, 130)
+    for mode in ("open3d", "pcl"):
+        assert same_both_ways(lambda mode=mode: tr.fpfh(cloud, near, mode=mode))
+
+
+def test_float64_is_left_to_torch():
+    cloud = cloud_of(100, dtype=torch.float64)
+    near = tr.neighbors(cloud, 0.5, 30)
+    assert same_both_ways(lambda: (tr.fpfh(cloud, near), tr.pcfh(cloud, near), tr.contrast(cloud, near, 0.5)))
+
+
+def test_gradients_of_inputs_are_dropped_as_in_torch():
+    cloud = cloud_of(100)
+    near = tr.neighbors(cloud, 0.5, 30)
+    points, normals = cloud.points.clone().requires_grad_(), cloud.normals.clone().requires_grad_()
+    histograms = simplified_histograms(points, normals, near)
+    assert not histograms.requires_grad
+    assert same_bits(histograms, simplified_histograms(cloud.points, cloud.normals, near))
