@@ -29,7 +29,7 @@ class SiteProgress(NamedTuple):
     Attributes:
         stage: ``"describe"``, ``"register"`` or ``"place"``.
         done: of its items.
-        total: items of the stage: scans, pairs, 1.
+        total: items of the stage: descriptions, pairs, scans.
         failed: of those done, how many pairs were refused.
     """
 

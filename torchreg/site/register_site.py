@@ -77,11 +77,11 @@ def register_site(
         seconds["describing"] = time.perf_counter() - begin
         links, pairs = _registered(site, seed, report)
         seconds["registering pairs"] = time.perf_counter() - begin - sum(seconds.values())
-    report(SiteProgress("place", 0, 1))
+    report(SiteProgress("place", 0, len(clouds)))
     widest = max((pair.options.inlier_threshold for pair in site.pairs), default=1.0)
     placement = place(links, len(clouds), tolerance=Tolerance(meters=_ALIKE * widest))
     seconds["placing"] = time.perf_counter() - begin - sum(seconds.values())
-    report(SiteProgress("place", 1, 1))
+    report(SiteProgress("place", len(clouds), len(clouds)))
     return _result(known, placement, links, pairs, seconds)
 
 
