@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import compose, inverse
 from torchreg.site.graph import SiteGraph, residuals
-from torchreg.site.loops import Triangles, support
+from torchreg.site.loops import Triangles, error_scale, support
 from torchreg.site.optimize import settle_poses
 from torchreg.site.tolerance import Tolerance
 
@@ -82,7 +82,8 @@ class _Growth:
         confirming = support(triangles, graph.evidence.sigmoid())
         self.confirmed = (confirming >= _CONFIRMING).tolist()
         self.score = (graph.evidence + torch.log1p(confirming)).tolist()
-        self._expect_errors(1.0)
+        self.scale = error_scale(graph, triangles)
+        self._expect_errors(self.scale)
         self.links: list[list[int]] = [[] for _ in range(nodes)]
         for row, (a, b) in enumerate(self.ends):
             self.links[a].append(row)
@@ -117,7 +118,7 @@ class _Growth:
             fixed[max(members) if self.graph.count in members else min(members)] = True
         settled = settle_poses(self.graph.take(self._rows()), self.poses, fixed)
         self.poses = settled.poses
-        self._expect_errors(settled.scale)
+        self._expect_errors(max(self.scale, settled.scale))
 
     def _expect_errors(self, scale: float) -> None:
         """Let links err by as much as their covariances promise, squares times ``scale``."""
