@@ -39,7 +39,7 @@ def level(placement: Placement, up: Tensor) -> Placement:
         >>> link = Link(target=0, source=1, T_target_source=T, log_odds=3.0, probability=0.9,
         ...             covariance=loose_covariance(0.01, 5.0))
         >>> y_up = torch.tensor([[0.0, 1.0, 0.0]] * 2, dtype=torch.float64)
-        >>> level(place([link], 2), y_up).T_world_scan[0, 2].tolist()
+        >>> level(place([link], 2), y_up).T_world_scan[0, 2].round(decimals=9).tolist()
         [0.0, 1.0, 0.0, 0.0]
     """
     expect_shape(up, "up", (len(placement), 3), torch.float64)
