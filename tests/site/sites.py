@@ -47,16 +47,21 @@ def near_pairs(poses: Tensor, pairs: int) -> list[tuple[int, int]]:
 
 
 def right_link(
-    poses: Tensor, pair: tuple[int, int], generator: torch.Generator, log_odds: float = 4.0, **more: object
+    poses: Tensor,
+    pair: tuple[int, int],
+    generator: torch.Generator,
+    log_odds: float = 4.0,
+    noise: float = 1.0,
+    **more: object,
 ) -> Link:
-    """The true link of a pair with noise as its covariance says."""
+    """The true link of a pair with ``noise`` times the noise that its covariance promises."""
     target, source = pair
     T = compose(inverse(poses[target]), poses[source])
     center = T[:3, 3] / 2
-    turn = TURN * torch.randn(3, dtype=torch.float64, generator=generator)
-    shift = SHIFT * torch.randn(3, dtype=torch.float64, generator=generator)
-    noise = rigid(rotation_of(turn), shift + center - rotation_of(turn) @ center)
-    return link_of(pair, compose(noise, T), log_odds, center=center, **more)
+    turn = noise * TURN * torch.randn(3, dtype=torch.float64, generator=generator)
+    shift = noise * SHIFT * torch.randn(3, dtype=torch.float64, generator=generator)
+    error = rigid(rotation_of(turn), shift + center - rotation_of(turn) @ center)
+    return link_of(pair, compose(error, T), log_odds, center=center, **more)
 
 
 def wrong_link(pair: tuple[int, int], generator: torch.Generator, log_odds: float = 0.0, **more: object) -> Link:

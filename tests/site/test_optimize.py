@@ -3,7 +3,7 @@
 import torch
 from closeness import close
 from problems import numbers, seeded
-from sites import link_of, made_poses, made_site, near_pairs, right_link
+from sites import link_of, made_poses, near_pairs, right_link
 
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of, rotation_vector
@@ -82,10 +82,7 @@ def test_a_wrong_link_loses_its_weight():
 
 
 def test_covariances_that_promise_too_much_are_found_out():
-    site = made_site(30, 150, 0.0)
-    narrow = [link_of((one.target, one.source), one.T_target_source, 4.0, center=one.center) for one in site.links]
-    for one in narrow:
-        object.__setattr__(one, "covariance", one.covariance / 25)
-    graph = site_graph(narrow, (), 30)
-    truth, fixed = moved_frames(site.poses, graph), held(30)
-    assert 15 < settle_poses(graph, truth, fixed).scale < 40
+    poses, generator = made_poses(30), seeded()
+    links = [right_link(poses, pair, generator, noise=5.0) for pair in near_pairs(poses, 150)]
+    graph = site_graph(links, (), 30)
+    assert 15 < settle_poses(graph, moved_frames(poses, graph), held(30)).scale < 40

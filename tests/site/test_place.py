@@ -111,6 +111,24 @@ def test_a_chain_is_held_by_single_links():
     assert bool((spread.diff() > 0).all())
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_errors_that_add_up_around_a_large_loop_do_not_keep_it_open(seed):
+    count, reach = 60, 40.0
+    angle = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
+    poses = made_poses(count)
+    poses[:, :3, 3] = torch.stack([reach * angle.cos(), reach * angle.sin(), torch.zeros_like(angle)], dim=1)
+    generator = seeded(seed)
+    links = [
+        right_link(poses, (k, (k + step) % count), generator, 3.0 + step, noise=12.0)
+        for k in range(count)
+        for step in (1, 2)
+    ]
+    placement = place(links, count)
+    assert bool(placement.used.all())
+    assert float(errors(placement.T_world_scan, poses)[0].max()) < 2.0
+    assert placement.scale > 30
+
+
 def test_groups_that_do_not_connect_stay_apart():
     site = made_site(20, 80, 0.0)
     apart = [one for one in site.links if (one.target < 8) == (one.source < 8)]

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import compose, inverse
 from torchreg.site.graph import SiteGraph, residuals
-from torchreg.site.loops import Triangles, support
+from torchreg.site.loops import Triangles, error_scale, support
 from torchreg.site.optimize import settle_poses
 from torchreg.site.tolerance import Tolerance
 
@@ -38,6 +38,7 @@ _AHEAD = math.log(3.0)  # of the next ballot
 _CONFIRMED = math.log(30.0)  # bonus of a ballot for a second and for a third pair: by chance alone they hardly agree
 _COUNTED = 5  # pairs of a ballot: more may be mistaken for one and the same reason
 _OUTVOTED = 2.0  # log-odds by which links that lose a vote may be likelier than those that win it
+_ROUGHLY = 1e-4  # radians and meters, to which poses are settled between the rounds
 _PLACE = 6  # scans of a group that may be a place with a look-alike
 _BALLOTS = 6  # at most, between two groups
 
@@ -82,7 +83,8 @@ class _Growth:
         confirming = support(triangles, graph.evidence.sigmoid())
         self.confirmed = (confirming >= _CONFIRMING).tolist()
         self.score = (graph.evidence + torch.log1p(confirming)).tolist()
-        self._expect_errors(1.0)
+        self.scale = error_scale(graph, triangles)
+        self._expect_errors(self.scale)
         self.links: list[list[int]] = [[] for _ in range(nodes)]
         for row, (a, b) in enumerate(self.ends):
             self.links[a].append(row)
@@ -115,9 +117,9 @@ class _Growth:
         fixed = torch.zeros(len(self.poses), dtype=torch.bool)
         for members in self.members.values():
             fixed[max(members) if self.graph.count in members else min(members)] = True
-        settled = settle_poses(self.graph.take(self._rows()), self.poses, fixed)
+        settled = settle_poses(self.graph.take(self._rows()), self.poses, fixed, least_step=_ROUGHLY)
         self.poses = settled.poses
-        self._expect_errors(settled.scale)
+        self._expect_errors(max(self.scale, settled.scale))
 
     def _expect_errors(self, scale: float) -> None:
         """Let links err by as much as their covariances promise, squares times ``scale``."""

@@ -12,6 +12,8 @@ from torchreg.geometry.small_motions import rotation_vector
 from torchreg.site.graph import SiteGraph
 from torchreg.site.tolerance import Tolerance
 
+_ENOUGH = 10  # triangles, for a median
+_MEDIAN = 2.37  # of chi-square of 3
 _WEDGES = 1 << 18  # pairs of links that meet, looked at at once
 
 
@@ -59,6 +61,17 @@ def support(triangles: Triangles, probability: Tensor) -> Tensor:
         others = probability[triangles.links[:, one]] * probability[triangles.links[:, other]]
         total.index_add_(0, triangles.links[:, own], others)
     return total
+
+
+def error_scale(graph: SiteGraph, triangles: Triangles) -> float:
+    """The factor, 1 or more, by which squared errors of triangles exceed what covariances promise, in the median.
+
+    By turns alone, which no lever lengthens.
+    """
+    if len(triangles.turn) < _ENOUGH:
+        return 1.0
+    promised = graph.covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(dim=1)[triangles.links].sum(dim=1)
+    return max(1.0, float((triangles.turn.square() / promised).median()) / _MEDIAN)
 
 
 def _chunks(wedges: Tensor) -> list[Tensor]:

@@ -28,7 +28,6 @@ GATE = 16.81
 _MEDIAN = 5.35  # of chi-square of 6
 _NARROWER = 2.0  # the factor by which the loss narrows at a step
 _STEPS = 60
-_SETTLED = 1e-9  # radians and meters
 _BENT = 0.9  # the share of a link's resistance along its residual that the bend of the loss may take
 _CLOSE = 0.01  # radians and meters, a step after which the bend is trusted
 _FAINT = 1e-9  # the least weight, so that no scan comes loose
@@ -49,16 +48,17 @@ class _System(NamedTuple):
     right: Tensor  # (F, 6)
 
 
-def settle_poses(graph: SiteGraph, start: Tensor, fixed: Tensor) -> SettledPoses:
+def settle_poses(graph: SiteGraph, start: Tensor, fixed: Tensor, *, least_step: float = 1e-9) -> SettledPoses:
     """Find the poses that links agree on.
 
     Args:
         graph: links that are believed, some of which may be wrong.
         start: (N + 1, 4, 4) float64, near the poses.
         fixed: (N + 1,) bool, nodes that stay: in every part of the graph that connects, one at least.
+        least_step: radians and meters, a step below which the poses are settled.
     """
     with torch_on_one_thread():
-        return _Problem(graph, fixed).settled(start)
+        return _Problem(graph, fixed).settled(start, least_step)
 
 
 class _Problem:
@@ -81,7 +81,7 @@ class _Problem:
         self.redundancy = max(len(graph) - len(self.free), 0) / max(len(graph), 1)
         self.information = torch.cholesky_inverse(torch.linalg.cholesky(graph.covariance))
 
-    def settled(self, start: Tensor) -> SettledPoses:
+    def settled(self, start: Tensor, least_step: float) -> SettledPoses:
         poses, known = start.clone(), self.graph.known
         e = residuals(self.graph, poses)
         scale, width, moved = 1.0, 1.0, torch.inf
@@ -94,7 +94,7 @@ class _Problem:
             poses[self.free] = compose(poses[self.free], rigid(rotation_of(step[:, :3]), step[:, 3:]))
             e = residuals(self.graph, poses)
             moved = float(step.abs().max()) if len(step) else 0.0
-            if width == 1.0 and moved < _SETTLED:
+            if width == 1.0 and moved < least_step:
                 break
             scale = self._scale(e)
             width = max(1.0, min(width / _NARROWER, self._reach(e) / scale))
