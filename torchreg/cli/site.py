@@ -21,7 +21,8 @@ from torchreg.errors import CloudFileError, expect, positive
 from torchreg.io import Reading, read_scans, write_cloud
 from torchreg.io.formats import WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
-from torchreg.io.site_files import site_to_dict, write_poses_csv
+from torchreg.io.poses_csv import write_poses_csv
+from torchreg.io.site_json import site_to_dict
 from torchreg.report import REPORT_SUFFIXES
 from torchreg.report.text import plain
 from torchreg.settings import LARGEST_READ, Settings
@@ -161,7 +162,7 @@ def site(
         )
     result = _with_notes(result, read)
     out.mkdir(exist_ok=True)
-    write_poses_csv(out / "poses.csv", result, names)
+    write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
     write_json(out / "site.json", site_to_dict(result, names, seed=seed))
     written = [out / "poses.csv", out / "site.json", *_write(outputs, result, read)]
     _show(result, names)
@@ -227,9 +228,15 @@ def _write(outputs: SiteOutputs, result: SiteResult, scans: Sequence[_Scan]) -> 
         written.append(outputs.merged)
     if outputs.report is not None:
         with step(f"writing {outputs.report.name}"):
-            write_site_report(outputs.report, result, clouds, names=names)
+            write_site_report(outputs.report, result, clouds, names=_short(names))
         written.append(outputs.report)
     return written
+
+
+def _short(names: Sequence[str]) -> list[str]:
+    """The names without the folder that all share."""
+    folder = os.path.commonpath([os.path.dirname(os.path.abspath(name)) for name in names])
+    return [os.path.relpath(name, folder) for name in names]
 
 
 def _show(result: SiteResult, names: Sequence[str]) -> None:

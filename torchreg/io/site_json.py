@@ -1,41 +1,12 @@
-"""The result of a site as files: ``poses.csv`` and JSON."""
+"""The result of a site as JSON."""
 
 from __future__ import annotations
 
-import csv
-import io
-import os
 from collections.abc import Sequence
 
 from torchreg.errors import expect
-from torchreg.io.atomic import write_text
 from torchreg.io.result_json import plain_data, versions
 from torchreg.site.result import SiteResult
-
-POSE_COLUMNS = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
-
-
-def write_poses_csv(path: str | os.PathLike[str], site: SiteResult, names: Sequence[str]) -> None:
-    """Write the poses of all scans as a table: scan, group, and m00 to m33, ``T_world_scan`` row by row.
-
-    Group and pose are empty where a scan is not placed. Lengths are in meters; numbers have as many digits as it takes
-    to read them back exactly.
-
-    Args:
-        path: in a folder that exists.
-        site: of N scans.
-        names: of the scans, N.
-
-    Raises:
-        ValueError: another number of names, or no such folder.
-    """
-    _expect_names(site, names)
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(("scan", "group", *POSE_COLUMNS))
-    for name, group, T in zip(names, site.group.tolist(), site.T_world_scan.flatten(1).tolist(), strict=True):
-        table.writerow((name, group, *map(repr, T)) if group >= 0 else (name, "", *[""] * 16))
-    write_text(path, text.getvalue())
 
 
 def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[str, object]:
@@ -61,7 +32,7 @@ def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[s
     Raises:
         ValueError: another number of names.
     """
-    _expect_names(site, names)
+    expect(len(names) == len(site), "names", f"one per scan ({len(site)})", len(names))
     scans = [
         {
             "name": names[scan],
@@ -84,7 +55,3 @@ def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[s
         "versions": versions(),
     }
     return {key: plain_data(value) for key, value in content.items()}
-
-
-def _expect_names(site: SiteResult, names: Sequence[str]) -> None:
-    expect(len(names) == len(site), "names", f"one per scan ({len(site)})", len(names))
