@@ -105,6 +105,7 @@ def test_a_file_of_several_scans_gives_them_all(run, tmp_path, rooms):
         (("--out", "out", "--report", "page.txt"), "--report: expected a name that ends in"),
         (("--out", "out", "--merged", "whole.stl"), "--merged: expected a name that ends in"),
         (("--out", "out", "--spacing", "0"), "--spacing: expected"),
+        (("--out", "out", "--effort", "plain"), "--effort: expected"),
     ],
 )
 def test_usage_is_checked_before_anything_is_read(run, tmp_path, monkeypatch, words, message):

@@ -27,6 +27,7 @@ def placed(poses, group):
         links=(),
         pairs=(),
         scale=1.0,
+        doubt=0.0,
         seconds=(),
     )
 

@@ -97,6 +97,15 @@ def test_a_scan_without_colors_is_placed_beside_colored_ones(site):
     assert not any("no colors" in note for note in result.notes[0])
 
 
+def test_options_may_be_given_and_need_no_refinement(site):
+    options = replace(tr.options_for(0.2), refine="none")
+    result = tr.register_site(site.scans[:3], options)
+    assert result.group.tolist() == [0, 0, 0]
+    meters, _ = errors(result.T_world_scan, site.T_world_scan[:3])
+    assert meters.max() < 0.1
+    assert all(each.link.residual != each.link.residual for each in result.links)  # NaN: not refined
+
+
 def test_progress_counts_every_step(site):
     seen: list[SiteProgress] = []
     tr.register_site(site.scans[:3], effort="fast", report=seen.append)
@@ -109,6 +118,8 @@ def test_progress_counts_every_step(site):
 def test_arguments_are_checked(site):
     with pytest.raises(ValueError, match="scans: expected at least one cloud"):
         tr.register_site([])
+    with pytest.raises(ValueError, match=r"effort: expected .*balanced"):
+        tr.register_site(site.scans, effort="plain")
     with pytest.raises(ValueError, match=r"scans\[1\]: expected Clouds of one cloud"):
         tr.register_site([site.scans[0], tr.Clouds.pack(site.scans[:2])])
 

@@ -17,7 +17,7 @@ from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import Output, check_outputs, standard_output, write_json
 from torchreg.cli.progress import batch_progress, reading_bar, step
 from torchreg.cli.wording import by_options
-from torchreg.errors import CloudFileError, expect, positive
+from torchreg.errors import CloudFileError, expect, one_of, positive
 from torchreg.io import Reading, read_scans, write_cloud
 from torchreg.io.formats import WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
@@ -30,6 +30,7 @@ from torchreg.site.merged import merged_cloud
 from torchreg.site.register_site import register_site
 from torchreg.site.result import SiteResult
 from torchreg.types import Clouds
+from torchreg.verification import WORK
 
 ScanPaths = Annotated[
     list[Path],
@@ -128,7 +129,15 @@ def site(
             rich_help_panel=opt.OUTPUT,
         ),
     ],
-    effort: Annotated[str | None, option_of(Settings, "effort")] = None,
+    effort: Annotated[
+        str,
+        typer.Option(
+            "--effort",
+            metavar="|".join(WORK),
+            help="Work spent per pair, as for torchreg register.",
+            rich_help_panel="Search",
+        ),
+    ] = "balanced",
     seed: opt.Seed = 0,
     max_bytes: Annotated[
         int | None,
@@ -153,6 +162,7 @@ def site(
     or not in one frame; the results say which and why.
     """
     where = opt.use(device, threads)
+    one_of(effort, "--effort", tuple(WORK))
     _check(scans, outputs, out)
     read = _read(scans, reading.reading())
     names = [scan.name for scan in read]

@@ -27,7 +27,7 @@ def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[s
         - ``pairs``: a list of source, target (numbers of scans, from 0), success, reason, candidates (how many);
         - ``links``: a list of the candidates of all pairs, with the fields of ``Link`` and the verdict: used, weight,
           meters, degrees, loops, loop_meters, loop_degrees, as ``SiteLink`` describes them;
-        - ``scale``; ``seed``; ``seconds``: by stage; ``versions``.
+        - ``scale``; ``doubt``; ``seed``; ``seconds``: by stage; ``versions``.
 
     Raises:
         ValueError: another number of names.
@@ -50,6 +50,7 @@ def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[s
         "pairs": site.pairs,
         "links": [{**vars(one.link), **dict(zip(one._fields[1:], one[1:], strict=True))} for one in site.links],
         "scale": site.scale,
+        "doubt": site.doubt,
         "seed": seed,
         "seconds": dict(site.seconds),
         "versions": versions(),

@@ -40,6 +40,10 @@ def verdict_lines(site: SiteResult) -> list[str]:
         lines.append(
             f"{len(used):,} of {len(site.pairs):,} pairs of scans hold them; loops confirm {looped:,} of these links"
         )
+    if site.doubt > 0:
+        lines.append(
+            "places of this site look alike: links that seem sure contradict each other, so all are trusted less"
+        )
     return lines
 
 

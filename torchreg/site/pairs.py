@@ -6,11 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from torch import Tensor
+
 from torchreg.geometry.numerics.partition import partition
+from torchreg.refinement.refine import Refined, refine_on_surfels
 from torchreg.registration.describe import describe_by, description_of
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import options_of_pairs, pair_bytes
+from torchreg.registration.refined import size_of
 from torchreg.registration.register import register_described
 from torchreg.registration.scales import Scale, scale_of, shared_scales
 from torchreg.registration.spacing import options_of_spacings
@@ -95,14 +99,32 @@ class DescribedSite:
 
     def registered(self, seed: int) -> Iterator[tuple[Sequence[SitePair], RegistrationResult]]:
         """Register all pairs, slice after slice; what comes does not depend on how they are cut."""
-        for pairs in self._slices():
+        for places in self._slices(self.pairs, range(len(self.pairs))):
+            pairs = [self.pairs[place] for place in places]
             yield pairs, register_described(*self.sides(pairs), [pair.options for pair in pairs], seed=seed)
 
-    def _slices(self) -> list[list[SitePair]]:
+    def refined(self, pairs: Sequence[SitePair], T_target_source: Tensor) -> Iterator[tuple[Sequence[int], Refined]]:
+        """Refine poses (K, 4, 4) of K pairs, some of them several times, on their surfels.
+
+        Yields the places of poses among those given, and what became of them; without those of pairs that are not to
+        be refined.
+        """
+        ready = [place for place, pair in enumerate(pairs) if pair.options.refine != "none"]
+        for part in self._slices(pairs, ready):
+            source, target = self.sides([pairs[place] for place in part])
+            if source.surfels is None or target.surfels is None:
+                continue
+            T = T_target_source[list(part)].to(source.cloud.device)
+            reach = [pairs[place].options.inlier_threshold for place in part]
+            sizes = [size_of(cloud) for cloud in source.cloud.unpack()]
+            yield part, refine_on_surfels(source.surfels, target.surfels, T, reach, [False] * len(part), sizes)
+
+    def _slices(self, pairs: Sequence[SitePair], places: Sequence[int]) -> list[list[int]]:
+        """The places of pairs that go together, within the memory."""
         slices = []
-        for group in _alike(self.pairs):
-            sizes = [sum(len(side.cloud.points) for side in self.sides([pair])) for pair in group]
-            costs = [pair_bytes(size, pair.options) for size, pair in zip(sizes, group, strict=True)]
+        for group in _alike(pairs, places):
+            sizes = [sum(len(side.cloud.points) for side in self.sides([pairs[place]])) for place in group]
+            costs = [pair_bytes(size, pairs[place].options) for size, place in zip(sizes, group, strict=True)]
             for run in partition(costs, self._max_bytes):
                 part = group[run]
                 slices += [part[begin : begin + _SLICE_PAIRS] for begin in range(0, len(part), _SLICE_PAIRS)]
@@ -115,11 +137,11 @@ def _keys(pair: SitePair) -> tuple[_Key, _Key]:
     return source, target
 
 
-def _alike(pairs: Sequence[SitePair]) -> list[list[SitePair]]:
-    """Pairs that may go together: alike in all but lengths, and in whether both have colors."""
-    groups: dict[object, list[SitePair]] = {}
-    for pair in pairs:
-        groups.setdefault((besides_lengths(pair.options), pair.colored), []).append(pair)
+def _alike(pairs: Sequence[SitePair], places: Sequence[int]) -> list[list[int]]:
+    """Places of pairs that may go together: alike in all but lengths, and in whether both have colors."""
+    groups: dict[object, list[int]] = {}
+    for place in places:
+        groups.setdefault((besides_lengths(pairs[place].options), pairs[place].colored), []).append(place)
     return list(groups.values())
 
 

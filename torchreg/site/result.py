@@ -75,6 +75,8 @@ class SiteResult:
         pairs: all pairs that were tried.
         scale: the factor, 1 or more, by which the squared errors of links exceed what their covariances promise; the
             covariances of the poses hold it already.
+        doubt: what was taken from the log-odds of all links, since sure ones contradict each other; 0 as a rule. Where
+            it is more, places of the site look alike, and only what loops confirm can be placed.
         seconds: time of every stage, by name, in order.
     """
 
@@ -87,6 +89,7 @@ class SiteResult:
     links: tuple[SiteLink, ...]
     pairs: tuple[TriedPair, ...]
     scale: float
+    doubt: float
     seconds: tuple[tuple[str, float], ...]
 
     summarizer: ClassVar[Callable[[SiteResult], str]]
