@@ -2,8 +2,9 @@
 
 The probabilities of links come from pairs of many scenes. In a scene of repeated panels, shelves or bays they promise
 too much: most links that seem sure are wrong then. A tree through the scans uses some of the links; all others, between
-scans that it joins, are tests of it. Each link says how likely it is to pass; where they fail far more often, the same
-number is taken from the log-odds of all links of the site, the likeliest one given what passed and failed.
+scans that it joins, are tests of it. As long as most of them pass, the vote of links deals with the others. Where most
+fail, the same number is taken from the log-odds of all links of the site: the likeliest one, given how likely each link
+says it is to pass, and what passed and failed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _STEP, _MOST = 0.25, 8.0  # of the numbers that are tried
 def doubt(links: Sequence[Link], placement: Placement) -> float:
     """The number, 0 or more, to be taken from the log-odds of all links; they are those that were placed."""
     tests = [*_tests(links, placement)]
-    if not tests:
+    if 2 * sum(right for _, right in tests) >= len(tests):
         return 0.0
     chance = torch.tensor([link.probability for link, _ in tests], dtype=torch.float64).logit(eps=1e-9)
     passed = torch.tensor([right for _, right in tests])

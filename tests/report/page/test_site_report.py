@@ -32,6 +32,12 @@ def test_the_page_tells_scans_links_and_reasons(site, scans):
     assert page == site_report_html(site, scans)
 
 
+def test_a_note_stands_once_with_its_scans(site, scans):
+    page = site_report_html(replace(site, notes=(("bright",), (), ("bright",), ("dim",))), scans)
+    assert page.count("scans 0, 2: bright") == 1
+    assert "scans 3: dim" in page
+
+
 def test_names_are_text(site, scans):
     page = site_report_html(site, scans, names=["<b>a</b>", "b", "c", "d"])
     assert "<b>a</b>" not in page

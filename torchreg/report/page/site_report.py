@@ -109,12 +109,26 @@ def scans(reported: ReportedSite) -> str:
             str(used[number]),
             str(loops[number]),
             distance(deviation[number]) if group >= 0 else "",
-            "; ".join([*([site.reason[number]] if site.reason[number] else []), *site.notes[number]]),
+            site.reason[number],
         )
         for number, (cloud, group) in enumerate(zip(reported.scans, site.group.tolist(), strict=True))
     ]
-    headings = ("", "scan", "points", "group", "links", "in loops", "deviation", "remarks")
+    headings = ("", "scan", "points", "group", "links", "in loops", "deviation", "why not placed")
     return markup.section("Scans", _table(headings, rows))
+
+
+def notes(reported: ReportedSite) -> str:
+    """Remarks on scans, each once."""
+    scans_of: dict[str, list[str]] = {}
+    for number, own in enumerate(reported.site.notes):
+        for note in own:
+            scans_of.setdefault(note, []).append(str(number))
+    count = len(reported.site)
+    lines = [
+        f"{'all scans' if len(those) == count else 'scans ' + ', '.join(those)}: {note}"
+        for note, those in scans_of.items()
+    ]
+    return markup.section("Notes on the scans", markup.listing(lines))
 
 
 def links(reported: ReportedSite) -> str:
@@ -159,7 +173,10 @@ def run(reported: ReportedSite) -> str:
     return markup.section("Times and versions", markup.named_rows([*seconds, *known]))
 
 
-SITE_SECTIONS: tuple[Callable[[ReportedSite], str], ...] = (verdict, attention, space, scans, links, refused, run)
+SITE_SECTIONS: tuple[Callable[[ReportedSite], str], ...] = (
+    *(verdict, attention, space, scans),
+    *(links, refused, notes, run),
+)
 """From top to bottom."""
 
 
@@ -171,11 +188,15 @@ def _link_row(one: SiteLink, reported: ReportedSite) -> tuple[str, ...]:
         decimal(link.overlap),
         distance(link.residual) if link.residual == link.residual else "",
         distance(one.meters),
-        f"{one.degrees:.2g}°",
+        _degrees(one.degrees),
         str(one.loops) if one.loops else "",
-        f"{distance(one.loop_meters)}, {one.loop_degrees:.2g}°" if one.loops else "",
+        f"{distance(one.loop_meters)}, {_degrees(one.loop_degrees)}" if one.loops else "",
         link.reason.partition(":")[0] or ("registered" if link.rank == 0 else f"candidate {link.rank + 1}"),
     )
+
+
+def _degrees(value: float) -> str:
+    return f"{value:.2g}°" if value >= 5e-4 else "0°"
 
 
 def _pair(source: int, target: int) -> str:
