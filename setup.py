@@ -3,9 +3,12 @@
 They are optional: where no C++ compiler is at hand the package installs without them, and torch computes the same.
 """
 
+import copy
 import importlib.util
+import os
 import platform
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -58,10 +61,30 @@ def extension(name: str, instructions: list[str]) -> Extension:
 class BuildLibraries(build_ext):
     """Plain shared libraries, which no version of Python is built into."""
 
-    def finalize_options(self) -> None:
-        """Build the libraries side by side."""
-        super().finalize_options()
-        self.parallel = self.parallel or True
+    def run(self) -> None:
+        """Build what can be built, and say what follows where something cannot."""
+        super().run()
+        missing = [
+            ext.name for ext in self.extensions if not Path(self.build_lib, self.get_ext_filename(ext.name)).exists()
+        ]
+        if missing:
+            self.warn(
+                f"not built: {', '.join(missing)}. Is there a C++17 compiler? Without, torch computes the same, slower."
+            )
+
+    def build_extension(self, ext: Extension) -> None:
+        """Compile the sources side by side, into a folder of each library: its objects are named as those of others."""
+        own = copy.copy(self)
+        own.build_temp = str(Path(self.build_temp, ext.name))
+        own.compiler = copy.copy(self.compiler)
+
+        def compile_apart(sources: list[str], **options: object) -> list[str]:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                parts = pool.map(lambda source: self.compiler.compile([source], **options), sources)
+                return [path for part in parts for path in part]
+
+        own.compiler.compile = compile_apart
+        super(BuildLibraries, own).build_extension(ext)
 
     def copy_extensions_to_source(self) -> None:
         """Put the libraries beside their sources, in a folder that is not kept with these."""

@@ -13,7 +13,7 @@ from torchreg.descriptors.histograms import count_votes, inverse_square_weights,
 from torchreg.descriptors.pair_features import Oriented, angle_bins, compact_pair_features, pair_features, unit_bins
 from torchreg.descriptors.pcfh import difference_bins
 from torchreg.geometry.eigen import symmetric_eigen
-from torchreg.geometry.numerics.chunks import stable_sum
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.solvers.ransac.edges import edge_marks
 from torchreg.solvers.ransac.samples import sample_fits, solve_samples, spans_plane
 from torchreg.solvers.scoring import correspondence_vectors, hypothesis_vectors, propose_counts, residuals
@@ -55,7 +55,7 @@ KERNELS = {
         [uniform(ROWS, 11).double(), indices(ROWS, ROWS, SLOTS), uniform(ROWS, SLOTS).double()],
     ),
     "symmetric_eigen": (symmetric_eigen, [uniform(ROWS, 3, 3)]),
-    "stable_sum": (stable_sum, [uniform(3000, 2)]),
+    "lane_sums": (lambda values: lane_sums(values, dim=0), [uniform(3000, 2)]),
     "edge_marks": (lambda p, q: edge_marks(p, q, 0.9, 0.1), [uniform(3, HYPOTHESES), uniform(3, HYPOTHESES)]),
     "spans_plane": (spans_plane, [uniform(3, SAMPLE, HYPOTHESES)]),
     "solve_samples": (solve_samples, [uniform(3, SAMPLE, HYPOTHESES), uniform(3, SAMPLE, HYPOTHESES)]),

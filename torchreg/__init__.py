@@ -32,6 +32,7 @@ from torchreg.io import (
     write_cloud,
 )
 from torchreg.matching import match_mutual, soft_match
+from torchreg.native import native_kernels, native_library
 from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import (
     estimate_normals,
@@ -108,6 +109,8 @@ __all__ = [
     "learning",
     "match_mutual",
     "metrics",
+    "native_kernels",
+    "native_library",
     "neighbors",
     "nn",
     "options_for",

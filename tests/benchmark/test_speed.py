@@ -127,17 +127,19 @@ def test_rows_without_a_part_are_those_of_stages():
 
 def test_one_core_is_busy_within_the_context_alone():
     me = psutil.Process()
+    before = me.children()
     with busy.busy_core():
-        (child,) = me.children()
+        (child,) = set(me.children()) - set(before)
         time.sleep(0.2)
         assert child.cpu_times().user > 0
     assert not child.is_running()
 
 
 def test_the_core_is_free_again_after_an_error():
+    before = psutil.Process().children()
     with pytest.raises(KeyError), busy.busy_core():
         raise KeyError
-    assert psutil.Process().children() == []
+    assert set(psutil.Process().children()) <= set(before)
 
 
 def test_quiet_and_busy_are_compared_pair_by_pair():

@@ -8,10 +8,11 @@ from kernel_cases import COUNTS, KINDS, cloud_of, same_both_ways, supports
 import torchreg as tr
 from torchreg.descriptors.fpfh import simplified_histograms
 from torchreg.descriptors.histograms import add_weighted_neighbors
-from torchreg.native import native_library
+from torchreg.native import native_library, torch_on_one_thread
 
 pytestmark = pytest.mark.skipif(not native_library(), reason="no compiler was at hand when the package was installed")
 
+DESCRIPTORS = [tr.estimate_normals, tr.fpfh, tr.pcfh, lambda cloud, near: tr.contrast(cloud, near, 0.4)]
 everywhere = pytest.mark.parametrize(("count", "kind"), [(count, kind) for count in COUNTS for kind in KINDS])
 
 
@@ -71,3 +72,16 @@ def test_gradients_of_inputs_are_dropped_as_in_torch():
     histograms = simplified_histograms(points, normals, near)
     assert not histograms.requires_grad
     assert same_bits(histograms, simplified_histograms(cloud.points, cloud.normals, near))
+
+
+@pytest.mark.parametrize("wrong", [-1, 300, 2**62])
+@pytest.mark.parametrize("use", DESCRIPTORS)
+@pytest.mark.parametrize("number", [1, 4])
+def test_a_neighbor_that_is_no_point_is_refused(wrong, use, number):
+    cloud = cloud_of(300)
+    near = tr.neighbors(cloud, 0.4, 40)
+    index = near.index.clone()
+    index[211, 39] = wrong
+    near = tr.Neighborhoods(index, near.valid, near.sq_distance, near.radius)
+    with torch_on_one_thread(number), pytest.raises(IndexError, match="beyond"):
+        use(cloud, near)

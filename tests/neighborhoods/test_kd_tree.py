@@ -6,6 +6,7 @@ from determinism import THREADS, same_bits, threads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import torchreg as tr
 from torchreg.native import native_kernels, native_library
 from torchreg.neighborhoods.distances import sort_rows, sum_of_squares
 from torchreg.neighborhoods.kd_tree import KdTree, fits_tree
@@ -59,3 +60,13 @@ def test_what_no_tree_fits():
     assert not fits_tree(torch.zeros(4, 3, device="meta"))
     with native_kernels(False):
         assert not fits_tree(torch.zeros(4, 3))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("radius", [1e-30, 1e-19, 1e-12])
+@pytest.mark.parametrize("number", [3, 60])
+def test_duplicates_are_found_within_any_radius(dtype, radius, number):
+    points = torch.rand(number, 3, generator=torch.Generator().manual_seed(0), dtype=dtype).repeat(2, 1)
+    cloud = tr.Clouds(points=points)
+    found, expected = (tr.neighbors(cloud, radius, 5, backend=name) for name in ("native", "torch"))
+    assert same_bits((found.index, found.valid), (expected.index, expected.valid))

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from problems import random_points
 from refusals import refuses
 
-from torchreg.native import native_library
+from torchreg.native import native_kernels, native_library
 from torchreg.neighborhoods import nearest
-from torchreg.neighborhoods.point_index import nearest_of_all, several_nearest
+from torchreg.neighborhoods.point_index import PointIndex, nearest_of_all, several_nearest
 
 every_backend = pytest.mark.parametrize("backend", ["open3d", "torch", *(["native"] if native_library() else [])])
 both_dtypes = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
@@ -55,9 +55,19 @@ def test_several_nearest_are_those_of_all_pairs(queries, count, several, seed):
     assert torch.equal(nearest_of_all(query, points, several, 3000), expected)
 
 
-def test_all_pairs_take_the_smallest_index_of_equals():
-    points = torch.tensor([[5.0, 0, 0], [1, 0, 0], [-1, 0, 0], [1, 0, 0]])
-    assert nearest(torch.zeros(1, 3), points, backend="torch").index.tolist() == [1]
+@every_backend
+@both_dtypes
+@settings(max_examples=25)
+@given(queries=st.integers(1, 50), count=st.integers(1, 300), cells=st.integers(0, 4), seed=st.integers(0, 2**31))
+def test_of_equally_near_ones_it_takes_the_smallest_index(backend, dtype, queries, count, cells, seed):
+    query, points = (
+        (many * cells).round() / 2 for many in (random_points(queries, seed, dtype), random_points(count, 1, dtype))
+    )
+    square = (points - query[:, None]).square().sum(dim=2)
+    first = (square == square.amin(dim=1, keepdim=True)).int().argmax(dim=1)
+    assert torch.equal(nearest(query, points, backend=backend).index, first)
+    with native_kernels(backend == "native"):
+        assert torch.equal(PointIndex(points).nearest(query).index, first)
 
 
 @pytest.mark.parametrize("max_bytes", [1, 5_000, 2**20])

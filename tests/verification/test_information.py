@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from torchreg.geometry.numerics.sums import padded_length
 from torchreg.open3d_loader import load_open3d
 from torchreg.verification.information import information_matrices, weakest_motions
 
 
 def filled_up(values):
     """Rows (N, 3) as (3, 1, L), and where they stand."""
-    width = padded_length(len(values))
+    width = len(values) + 7
     planes = torch.full((3, 1, width), 7.0, dtype=values.dtype)
     planes[:, 0, : len(values)] = values.t()
     return planes, (torch.arange(width) < len(values))[None]

@@ -88,7 +88,11 @@ Points = Annotated[
 ]
 Seconds = Annotated[
     float | None,
-    typer.Option("--seconds", metavar="NUMBER", help="Time that a run on a GPU may take, in seconds; 400 by default."),
+    typer.Option(
+        "--seconds",
+        metavar="NUMBER",
+        help="Time of a run on a GPU, a whole number of seconds; 400 by default.",
+    ),
 ]
 Repeats = Annotated[
     int, typer.Option("--repeats", metavar="COUNT", min=1, help="Number of counted runs of everything.")

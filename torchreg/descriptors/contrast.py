@@ -25,7 +25,7 @@ from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
-from torchreg.geometry.numerics.interleaved import interleaved_sum
+from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 
@@ -83,8 +83,8 @@ class Contrast(Descriptor):
 def _contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
     """Contrast (P, 10) of every point; ``inner`` (P, 1) is the square of the radius of its inner support."""
     single = colors.dtype == near.sq_distance.dtype == torch.float32
-    if single and native(colors, near.index, near.valid, near.sq_distance):
-        return _native_contrast(colors, near, inner)
+    if native(colors, near.index, near.valid, near.sq_distance) and single:
+        return _contrast_compiled(colors, near, inner)
     channels = [channel.contiguous() for channel in colors.detach().unbind(1)]
     out = colors.new_empty(len(colors), CONTRAST_SIZE)
     for part in row_chunks(len(colors), near.max_neighbors):
@@ -107,11 +107,12 @@ def _contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
     return out
 
 
-def _native_contrast(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
+def _contrast_compiled(colors: Tensor, near: Neighborhoods, inner: Tensor) -> Tensor:
+    """As ``_contrast``."""
     out = colors.new_empty(len(colors), CONTRAST_SIZE)
     slots = *rows(near.index), *rows(near.valid), *rows(near.sq_distance)
     sizes = len(colors), near.max_neighbors
-    call("contrast_f32", colors.detach().contiguous(), *slots, inner.contiguous(), *sizes, _FLOOR, _CONSTANT, out)
+    call("contrast", colors.detach().contiguous(), *slots, inner.contiguous(), *sizes, _FLOOR, _CONSTANT, out)
     return out
 
 
@@ -119,7 +120,7 @@ def _moments(value: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation (r,) of values (r, K) where the weight is 1."""
     share = 1 / weight.sum(dim=1).clamp(min=1)
     weighted = value * weight
-    mean = interleaved_sum(weighted) * share
-    variance = (interleaved_sum(weighted * value) * share - mean * mean).clamp(min=0)
+    mean = lane_sums(weighted, NEIGHBOR_LANES) * share
+    variance = (lane_sums(weighted * value, NEIGHBOR_LANES) * share - mean * mean).clamp(min=0)
     # by the reciprocal root: torch's square root on the CPU is not the nearest number
     return mean, variance * variance.clamp(min=torch.finfo(variance.dtype).tiny).rsqrt()

@@ -147,8 +147,8 @@ class Fpfh(Descriptor):
 
 def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
     """SPFH (P, 33) of every point: percent of its neighbors per bin, 100 per angle."""
-    if points.dtype == normals.dtype == torch.float32 and native(points, normals, near.index, near.valid):
-        return _native_histograms(points, normals, near)
+    if native(points, normals, near.index, near.valid) and points.dtype == normals.dtype == torch.float32:
+        return _histograms_compiled(points, normals, near)
     kernel = _exact_bins if points.dtype == torch.float64 else _compact_bins
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
     out = points.new_empty(len(points), FPFH_SIZE)
@@ -163,11 +163,12 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
     return out
 
 
-def _native_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
+def _histograms_compiled(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tensor:
+    """As ``simplified_histograms``."""
     count, width = near.index.shape
     out = points.new_empty(count, FPFH_SIZE)
     columns = points.detach().contiguous(), normals.detach().contiguous(), points.new_tensor(ANGLE_EDGES)
-    call("simplified_histograms_f32", *columns, *rows(near.index), *rows(near.valid), count, width, out)
+    call("simplified_histograms", *columns, *rows(near.index), *rows(near.valid), count, width, out)
     return out
 
 

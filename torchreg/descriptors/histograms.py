@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import call, native, rows
 from torchreg.types import Neighborhoods
 
@@ -53,12 +54,12 @@ def add_weighted_neighbors(histograms: Tensor, near: Neighborhoods, bins: int, *
     ``histograms`` (P, blocks x bins) are in percent; without ``keep_own`` those of the neighbors alone are returned.
     """
     if _has_kernel(histograms, near):
-        return _native_sums(histograms, near, bins, keep_own)
+        return _sums_compiled(histograms, near, bins, keep_own)
     out = torch.empty_like(histograms)
     for part in row_chunks(len(histograms), near.max_neighbors):
         weights = inverse_square_weights(near.sq_distance[part], near.valid[part]).to(histograms.dtype)
         blocks = weighted_sum(histograms, near.index[part], weights).view(-1, histograms.shape[1] // bins, bins)
-        total = blocks.cumsum(dim=2)[..., -1:]  # one after another, on any processor
+        total = lane_sums(blocks, NEIGHBOR_LANES)[..., None]
         scale = torch.where(total > 0, 100 / torch.where(total > 0, total, torch.ones_like(total)), 0)
         result = (blocks * scale).view(-1, histograms.shape[1])
         out[part] = result + histograms[part] if keep_own else result
@@ -84,9 +85,10 @@ def _has_kernel(histograms: Tensor, near: Neighborhoods) -> bool:
     return fused and native(histograms, near.index, near.valid, near.sq_distance)
 
 
-def _native_sums(histograms: Tensor, near: Neighborhoods, bins: int, keep_own: bool) -> Tensor:
+def _sums_compiled(histograms: Tensor, near: Neighborhoods, bins: int, keep_own: bool) -> Tensor:
+    """As ``add_weighted_neighbors``."""
     histograms, out = histograms.contiguous(), torch.empty_like(histograms, memory_format=torch.contiguous_format)
     slots = *rows(near.index), *rows(near.valid), *rows(near.sq_distance)
     sizes = len(histograms), near.max_neighbors, histograms.shape[1], bins
-    call("add_weighted_neighbors_f32", histograms, *slots, *sizes, int(keep_own), _least(near.sq_distance), out)
+    call("add_weighted_neighbors", histograms, *slots, *sizes, int(keep_own), _least(near.sq_distance), out)
     return out

@@ -194,8 +194,8 @@ def _own_histograms(
     values: Tensor, near: Neighborhoods, bins: int, channels: tuple[str, ...], saturation_weighting: bool
 ) -> tuple[Tensor, Tensor]:
     """Eq. (3): (P, bins x channels) in percent, and (P,) whether a point had enough neighbors."""
-    if values.dtype == torch.float32 and native(values, near.index, near.valid):
-        return _native_histograms(values, near, bins, channels, saturation_weighting)
+    if native(values, near.index, near.valid) and values.dtype == torch.float32:
+        return _histograms_compiled(values, near, bins, channels, saturation_weighting)
     columns = {name: values[:, CHANNELS.index(name)].contiguous() for name in (*channels, "saturation")}
     out = values.new_empty(len(values), bins * len(channels))
     enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
@@ -218,9 +218,10 @@ def _own_histograms(
     return out, enough
 
 
-def _native_histograms(
+def _histograms_compiled(
     values: Tensor, near: Neighborhoods, bins: int, channels: tuple[str, ...], saturation_weighting: bool
 ) -> tuple[Tensor, Tensor]:
+    """As ``_own_histograms``."""
     count, width = near.index.shape
     places = torch.tensor([CHANNELS.index(name) for name in channels])
     out = values.new_empty(count, bins * len(channels))
@@ -228,5 +229,5 @@ def _native_histograms(
     slots = *rows(near.index), *rows(near.valid)
     sizes = count, width, bins, MIN_NEIGHBORS
     asked = values.detach().contiguous(), places, len(places), int(saturation_weighting)
-    call("color_histograms_f32", *asked, *slots, *sizes, out, enough)
+    call("color_histograms", *asked, *slots, *sizes, out, enough)
     return out, enough

@@ -28,9 +28,7 @@ def best_rotation(covariance: Tensor) -> Tensor:
     zeros the identity.
     """
     if native(covariance) and covariance.dtype == torch.float64:
-        rotation = torch.empty(covariance.shape, dtype=covariance.dtype)
-        call("best_rotations", covariance.contiguous(), covariance.shape[2], rotation)
-        return rotation
+        return _rotation_compiled(covariance)
     matrix = _leading(covariance)  # (4, 4, H)
     most = matrix.diagonal().argmax(dim=1)  # (H,)
     column = matrix.gather(0, most.expand(1, 4, -1))[0]  # (4, H)
@@ -42,6 +40,13 @@ def best_rotation(covariance: Tensor) -> Tensor:
         [twice * (x * z - w * y), twice * (y * z + w * x), 1.0 - twice * (x * x + y * y)],
     ]
     return torch.stack([torch.stack(row) for row in rows])
+
+
+def _rotation_compiled(covariance: Tensor) -> Tensor:
+    """As ``best_rotation``."""
+    rotation = torch.empty(covariance.shape, dtype=covariance.dtype)
+    call("best_rotations", covariance.contiguous(), covariance.shape[2], rotation)
+    return rotation
 
 
 def best_translation(rotation: Tensor, source_mean: Tensor, target_mean: Tensor) -> Tensor:

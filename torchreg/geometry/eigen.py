@@ -20,12 +20,10 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.native import call, native
+from torchreg.native import KERNEL_TYPES, call, native
 
 _SWEEPS = 6
 _PAIRS = ((0, 1), (0, 2), (1, 2))
-
-_KERNELS = {torch.float64: "symmetric_eigen_f64", torch.float32: "symmetric_eigen_f32"}
 
 _CLOSED_GAP = 1e-12
 """Relative to the largest eigenvalue: points on a line in float32 spread about 1e-14 across it by their rounding."""
@@ -39,8 +37,8 @@ def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """
     expect(matrix.shape[-2:] == (3, 3), "matrix", "(..., 3, 3)", matrix)
     matrix = matrix.detach()
-    if matrix.dtype in _KERNELS and native(matrix):
-        return _native_eigen(matrix)
+    if native(matrix) and matrix.dtype in KERNEL_TYPES:
+        return _eigen_compiled(matrix)
     a = {(i, j): matrix[..., i, j] for i in range(3) for j in range(i, 3)}
     one, zero = torch.ones_like(a[0, 0]), torch.zeros_like(a[0, 0])
     v = [[one if i == j else zero for j in range(3)] for i in range(3)]
@@ -75,10 +73,11 @@ def least_eigenvector(matrix: Tensor, values: Tensor, vectors: Tensor) -> Tensor
     return vector / (1 + (a * a).sum(dim=-1, keepdim=True)).sqrt()
 
 
-def _native_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
+def _eigen_compiled(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """As ``symmetric_eigen``."""
     matrix = matrix.contiguous()
     values, vectors = matrix.new_empty(matrix.shape[:-1]), torch.empty_like(matrix)
-    call(_KERNELS[matrix.dtype], matrix, matrix.numel() // 9, values, vectors)
+    call(f"symmetric_eigen_{KERNEL_TYPES[matrix.dtype]}", matrix, matrix.numel() // 9, values, vectors)
     return values, vectors
 
 

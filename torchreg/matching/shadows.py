@@ -19,14 +19,12 @@ import torch
 from torch import Tensor
 
 from torchreg.matching.nearest import feature_nearest, settle_ties
-from torchreg.native import call, native
+from torchreg.native import KERNEL_TYPES, call, native
 
 _SHARE = 0.9  # of the table's variance in the directions kept: fastest between 0.85 and 0.95 on scans
 _SAMPLE = 1024  # rows that tell the directions
 _MANY = 64  # rows compared in full, after which a query may be handed on as one in a crowd
 _STEP = 8  # directions that the kernel takes at once
-
-_KERNELS = {torch.float32: "float", torch.float64: "double"}
 
 
 class Shadows(NamedTuple):
@@ -53,7 +51,7 @@ class Shadowed(NamedTuple):
 
 def compiled(source: Tensor, target: Tensor) -> bool:
     """Whether the kernels take these features."""
-    return source.dtype in _KERNELS and native(source, target)
+    return source.dtype in KERNEL_TYPES and native(source, target)
 
 
 def nearest_rows(query: Tensor, table: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -103,7 +101,7 @@ def shadows_nearest(
     row = torch.zeros(len(query.rows), count, dtype=torch.int64)
     square = torch.full((len(query.rows), count), float("inf"), dtype=torch.float64)
     call(
-        f"feature_nearest_{_KERNELS[query.rows.dtype]}",
+        f"feature_nearest_{KERNEL_TYPES[query.rows.dtype]}",
         *(*query, len(query.rows)),
         *(*table, len(table.rows)),
         *(query.rows.shape[1], query.shadow.shape[1]),
@@ -133,5 +131,5 @@ def _projected(rows: Tensor, center: Tensor, basis: Tensor) -> tuple[Tensor, Ten
     """Shadows (N, K + 1) and distances from the center (N,), float64."""
     shadow = center.new_empty(len(rows), basis.shape[1] + 1)
     norm = center.new_empty(len(rows))
-    call(f"feature_shadows_{_KERNELS[rows.dtype]}", rows, center, basis, *rows.shape, basis.shape[1], shadow, norm)
+    call(f"feature_shadows_{KERNEL_TYPES[rows.dtype]}", rows, center, basis, *rows.shape, basis.shape[1], shadow, norm)
     return shadow, norm

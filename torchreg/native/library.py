@@ -26,8 +26,18 @@ from torchreg.native.threads import kernel_threads
 VARIABLE = "TORCHREG_NATIVE"
 """Environment variable; ``0`` turns compiled kernels off for a whole process, and for those that it starts."""
 
+KERNEL_TYPES = {torch.float32: "f32", torch.float64: "f64"}
+"""The ends of the names of kernels that take either, by the type of the numbers."""
+
 _FOLDER = Path(__file__).parent
 _BY_CAPABILITY = {"AVX512": ("avx512", "avx2", "default"), "AVX2": ("avx2", "default")}
+_KERNEL = ctypes.CFUNCTYPE(ctypes.c_int64)
+_REFUSALS = {
+    -(2**63): (MemoryError, "not enough memory to work in"),
+    1 - 2**63: (IndexError, "an index beyond what it points into"),
+}
+"""What kernels return where they gave up, as ``Refusal`` in ``src/common.hpp``."""
+
 _wanted: ContextVar[bool] = ContextVar("native_kernels", default=os.environ.get(VARIABLE, "1") != "0")
 
 
@@ -53,8 +63,12 @@ def native_library() -> str:
 
 
 def native(*tensors: Tensor | None) -> bool:
-    """Whether a compiled kernel may work on these tensors: plain ones on the CPU, outside of traces and transforms."""
-    if not _wanted.get() or torch.compiler.is_compiling() or _library() is None:
+    """Whether a compiled kernel may work on these tensors: plain ones on the CPU, outside of traces and transforms.
+
+    Kernels see numbers alone. Where something follows the operations of torch, a trace, a dispatch mode, a tangent of
+    forward-mode differentiation, the functions in torch work.
+    """
+    if not _wanted.get() or _followed() or _library() is None:
         return False
     return all(tensor is None or _plain(tensor) for tensor in tensors)
 
@@ -62,12 +76,20 @@ def native(*tensors: Tensor | None) -> bool:
 def call(name: str, *arguments: Tensor | int | float | None) -> int:
     """Run a kernel: contiguous tensors by their memory, numbers as int64 or double, and last the number of threads.
 
-    What a kernel expects stands beside it in its source; nothing is checked here but that tensors are contiguous.
+    What a kernel expects stands beside it in its source; nothing is checked here but that tensors are contiguous and on
+    the CPU.
+
+    Raises:
+        MemoryError: there is not enough for the kernel to work in.
+        IndexError: an index beyond what it points into.
     """
     library = _library()
     if library is None:
         raise RuntimeError("no library of compiled kernels; ask native() first")
     result: int = _function(library, name)(*map(_argument, arguments), ctypes.c_int64(kernel_threads()))
+    if result < 0:
+        error, text = _REFUSALS.get(result, (RuntimeError, "it failed"))
+        raise error(f"kernel {name}: {text}")
     return result
 
 
@@ -98,15 +120,15 @@ def _checked(path: Path, sources: str) -> ctypes.CDLL | None:
 
 @functools.cache
 def _function(library: ctypes.CDLL, name: str) -> Any:  # noqa: ANN401
-    function = getattr(library, name)
-    function.restype = ctypes.c_int64
-    return function
+    return ctypes.cast(ctypes.c_void_p.in_dll(library, name), _KERNEL)
 
 
 def _argument(value: Tensor | int | float | None) -> Any:  # noqa: ANN401
     if isinstance(value, Tensor):
-        if not value.is_contiguous():
-            raise RuntimeError(f"a kernel takes contiguous tensors, got strides {value.stride()}")
+        if not value.is_cpu or not value.is_contiguous():
+            raise RuntimeError(
+                f"a kernel takes contiguous tensors on the CPU, got one on {value.device}, strides {value.stride()}"
+            )
         return ctypes.c_void_p(value.data_ptr())
     if value is None:
         return ctypes.c_void_p(None)
@@ -116,6 +138,17 @@ def _argument(value: Tensor | int | float | None) -> Any:  # noqa: ANN401
 def _plain(tensor: Tensor) -> bool:
     return (
         type(tensor) in (Tensor, torch.nn.Parameter)
-        and tensor.device.type == "cpu"
+        and tensor.is_cpu
+        and tensor.layout is torch.strided
+        and not tensor.is_neg()
         and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+    )
+
+
+def _followed() -> bool:
+    return (
+        torch.compiler.is_compiling()
+        or torch._C._get_tracing_state() is not None
+        or torch._C._len_torch_dispatch_stack() > 0
+        or torch.autograd.forward_ad._current_level >= 0
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.chunks import stable_sum
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.neighborhoods.point_index import nearest
 
@@ -31,5 +31,5 @@ def coverage(source: Tensor, target: Tensor, rotation: Tensor, translation: Tens
     square = nearest(moved, target.double()).sq_distance
     inside = square < threshold * threshold
     count = inside.sum()
-    total = stable_sum(torch.where(inside, square, torch.zeros_like(square)))
+    total = lane_sums(torch.where(inside, square, torch.zeros_like(square)), dim=0)
     return Coverage(count.double() / len(moved), (total / count.clamp(min=1)).sqrt())

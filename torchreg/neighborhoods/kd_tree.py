@@ -10,19 +10,18 @@ import math
 import torch
 from torch import Tensor
 
-from torchreg.native import call, native
+from torchreg.native import KERNEL_TYPES, call, native
 from torchreg.types.packing import offsets_of
 
 MOST = 64
 """Points that ``KdTree.nearest`` finds at most for one query."""
 
 _LARGEST = 2**31 - 1  # rows are int32 within a tree
-_DTYPES = {torch.float32: "float32", torch.float64: "float64"}
 
 
 def fits_tree(points: Tensor) -> bool:
     """Whether a tree can stand over these points (N, 3)."""
-    return len(points) > 0 and len(points) <= _LARGEST and points.dtype in _DTYPES and native(points)
+    return len(points) > 0 and len(points) <= _LARGEST and points.dtype in KERNEL_TYPES and native(points)
 
 
 def search_tree(
@@ -35,7 +34,7 @@ def search_tree(
     sq_distance = torch.empty(rows, max_neighbors, dtype=points.dtype)
     offsets = offsets_of([end - begin for begin, end in spans])
     squares = torch.tensor(limits, dtype=torch.float64).to(points.dtype)
-    name = f"search_{_DTYPES[points.dtype]}"
+    name = f"search_clouds_{KERNEL_TYPES[points.dtype]}"
     call(name, points.contiguous(), offsets, squares, len(spans), max_neighbors, index, valid, sq_distance)
     return index, valid, sq_distance
 
@@ -51,12 +50,12 @@ class KdTree:
 
     def __init__(self, points: Tensor) -> None:
         count = len(points)
-        self._dtype = _DTYPES[points.dtype]
+        self._dtype = KERNEL_TYPES[points.dtype]
         self.planes = torch.empty(3, count, dtype=points.dtype)
         self.order = torch.empty(count, dtype=torch.int32)
         self.boxes = torch.empty(call("tree_boxes", count), 6, dtype=points.dtype)
         points = points.contiguous()
-        call(f"tree_build_{self._dtype}", points, count, self.planes, self.order, self.boxes)
+        call(f"build_tree_{self._dtype}", points, count, self.planes, self.order, self.boxes)
 
     def nearest(self, query: Tensor, count: int = 1, limit: float = math.inf) -> tuple[Tensor, Tensor]:
         """The nearest of every query (Q, 3) with d^2 < ``limit``, ascending by (d^2, row), at most ``MOST``.
@@ -66,5 +65,7 @@ class KdTree:
         rows = torch.empty(len(query), count, dtype=torch.int64)
         squares = torch.empty(len(query), count, dtype=query.dtype)
         tree = (self.planes, self.order, self.boxes, len(self.order))
-        call(f"tree_nearest_{self._dtype}", *tree, query.contiguous(), len(query), count, float(limit), rows, squares)
+        call(
+            f"nearest_in_tree_{self._dtype}", *tree, query.contiguous(), len(query), count, float(limit), rows, squares
+        )
         return rows, squares

@@ -14,6 +14,8 @@ from torchreg.neighborhoods.distances import expect_searchable, sum_of_squares
 from torchreg.neighborhoods.kd_tree import MOST, KdTree, fits_tree
 from torchreg.neighborhoods.open3d_search import Tree
 
+_TIES = 512  # points as near as the nearest that Open3D is asked for
+
 
 class Nearest(NamedTuple):
     """One neighbor per query.
@@ -30,8 +32,7 @@ class Nearest(NamedTuple):
 def nearest(query: Tensor, points: Tensor, *, backend: str = "auto", max_bytes: int = 256 * 2**20) -> Nearest:
     """Find the nearest of ``points`` for every point of ``query``, exactly.
 
-    Where several are equally near, ``"native"`` and ``"torch"`` take the smallest index, ``"open3d"`` the first its
-    tree met.
+    Of several that are equally near the one of smallest index is taken; ``"open3d"`` looks at some 500 of them at most.
 
     Args:
         query: (Q, 3) float32 or float64, meters.
@@ -93,7 +94,7 @@ class PointIndex:
             return Nearest(*(column[:, 0] for column in self._tree.nearest(query)))
         if self._foreign is None or len(query) == 0:
             return nearest(query, self._points)
-        index = self._order.index_select(0, self._foreign.nearest(query.contiguous(), 1)[:, 0].long())
+        index = _first_of(self._foreign, self._order, query.contiguous(), self._points)
         return Nearest(index, sum_of_squares(*(query - self._points[index]).unbind(1)))
 
 
@@ -113,8 +114,25 @@ def _from_tree(query: Tensor, points: Tensor) -> Tensor:
     """(Q,) int64 by Open3D's tree; both sides in Morton order, which is a third faster."""
     query_order = morton_order(query, torch.tensor([0, len(query)]))
     point_order = morton_order(points, torch.tensor([0, len(points)]))
-    place = Tree(points[point_order]).nearest(query[query_order], 1)[:, 0]
-    return torch.empty_like(query_order).index_copy_(0, query_order, point_order.index_select(0, place))
+    index = _first_of(Tree(points[point_order]), point_order, query[query_order], points)
+    return torch.empty_like(query_order).index_copy_(0, query_order, index)
+
+
+def _first_of(tree: Tree, order: Tensor, query: Tensor, points: Tensor) -> Tensor:
+    """(Q,) int64: of the points nearest to each query the lowest row; the tree stands over ``points[order]``."""
+    index, rows, width = query.new_empty(len(query), dtype=torch.int64), torch.arange(len(query)), 2
+    while len(rows) > 0:
+        width = min(width, len(points))
+        asked = query.index_select(0, rows)
+        near = order[tree.nearest(asked, width).long()]  # (R, K)
+        square = sum_of_squares(*(q[:, None] - p[near] for q, p in zip(asked.unbind(1), points.unbind(1), strict=True)))
+        least = square.amin(dim=1, keepdim=True)
+        index[rows] = near.masked_fill(square > least, len(points)).amin(dim=1)
+        # the tree rounds otherwise: what it puts last may be as near as the first
+        open_ended = square[:, -1] <= least[:, 0] * (1 + 8 * torch.finfo(square.dtype).eps)
+        rows = rows[open_ended] if width < min(len(points), _TIES) else rows[:0]
+        width *= 4
+    return index
 
 
 def nearest_of_all(query: Tensor, points: Tensor, count: int, max_bytes: int) -> Tensor:

@@ -15,10 +15,10 @@ from torch.utils.checkpoint import checkpoint
 
 from torchreg.errors import expect
 from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
-from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.derivatives import derivative_wanted
-from torchreg.geometry.numerics.interleaved import interleaved_sum
-from torchreg.native import call, native, rows
+from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
+from torchreg.native import KERNEL_TYPES, call, native, rows
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 
@@ -52,8 +52,9 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
         viewpoint = viewpoint.expand(len(cloud), 3)
     towards = _facing(cloud, cloud.viewpoint if viewpoint is None else viewpoint)
     wanted = derivative_wanted(cloud.points, towards)
-    if not wanted and cloud.points.dtype in _KERNELS and native(cloud.points, towards, near.index, near.valid):
-        return replace(cloud, normals=_native_normals(cloud.points, towards, near))
+    given = (cloud.points, towards, near.index, near.valid)
+    if native(*given) and cloud.points.dtype in KERNEL_TYPES and not wanted:
+        return replace(cloud, normals=_normals_compiled(cloud.points, towards, near))
     x, y, z = (column.contiguous() for column in cloud.points.unbind(1))
     chunks = list(row_chunks(len(cloud.points), near.max_neighbors))
     if not wanted:
@@ -71,15 +72,12 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     return replace(cloud, normals=normals.to(cloud.points.dtype))
 
 
-_KERNELS = {torch.float32: "normals_f32", torch.float64: "normals_f64"}
-
-
-def _native_normals(points: Tensor, towards: Tensor, near: Neighborhoods) -> Tensor:
+def _normals_compiled(points: Tensor, towards: Tensor, near: Neighborhoods) -> Tensor:
     """Normals (P, 3) as ``_oriented`` computes them, in the dtype of the points."""
     points = points.detach().contiguous()
     out = torch.empty_like(points)
     slots, sizes = (*rows(near.index), *rows(near.valid)), (len(points), near.max_neighbors)
-    call(_KERNELS[points.dtype], points, towards.detach().contiguous(), *slots, *sizes, out)
+    call(f"normals_{KERNEL_TYPES[points.dtype]}", points, towards.detach().contiguous(), *slots, *sizes, out)
     return out
 
 
@@ -116,7 +114,7 @@ def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
         points = cloud.points[begin:end].double()
         if begin == end:
             continue
-        center = stable_sum(points) / len(points)
+        center = lane_sums(points, dim=0) / len(points)
         if viewpoint is not None:
             given = torch.isfinite(viewpoint[b]).all()
             center = torch.where(given, viewpoint[b].double(), center)
@@ -131,10 +129,10 @@ def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, part: slic
     share = 1 / count.clamp(min=1).double()
     weight = valid.double()
     offset = [((column[index] - column[part, None]) * weight) for column in (x, y, z)]
-    mean = [interleaved_sum(axis) * share for axis in offset]
+    mean = [lane_sums(axis, NEIGHBOR_LANES) * share for axis in offset]
 
     def moment(i: int, j: int) -> Tensor:
-        return interleaved_sum(offset[i] * offset[j]) * share - mean[i] * mean[j]
+        return lane_sums(offset[i] * offset[j], NEIGHBOR_LANES) * share - mean[i] * mean[j]
 
     entries = {(i, j): moment(i, j) for i in range(3) for j in range(i, 3)}
     lines = [torch.stack([entries[min(i, j), max(i, j)] for j in range(3)], dim=-1) for i in range(3)]

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.geometry.numerics.chunks import stable_sum
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 
@@ -136,6 +136,6 @@ def _outwards(cloud: Clouds, normals: Tensor) -> Tensor:
     for begin, end in spans(cloud.offsets):
         if end > begin:
             points = cloud.points[begin:end].detach().double()
-            apart = points - stable_sum(points) / len(points)
+            apart = points - lane_sums(points, dim=0) / len(points)
             out[begin:end] = (normals[begin:end] * apart).sum(dim=1).sign().long()
     return out

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import CACHE_ELEMENTS, row_chunks
+from torchreg.geometry.numerics.sums import lane_sums
 
 BLOCK = 256
 _CHUNK_WIDTH = 8  # temporaries of a row that should stay in the cache together
@@ -62,23 +63,12 @@ class Blocks:
         """Sums (B, C) over the rows of every pair of ``terms(chunk)`` (C, k, 256), float64."""
         partial = torch.zeros(channels, len(self.pair), dtype=torch.float64, device=self.pair.device)
         for chunk in self.chunks():
-            partial[:, chunk] = _halved(terms(chunk))
-        widest = 1 << (max(self.counts) - 1).bit_length()
-        padded = partial.new_zeros(channels, len(self.counts), widest)
+            partial[:, chunk] = lane_sums(terms(chunk))
+        padded = partial.new_zeros(channels, len(self.counts), max(self.counts))
         first = torch.tensor((0, *self.counts[:-1]), device=self.pair.device).cumsum(0)
         place = torch.arange(len(self.pair), device=self.pair.device) - first[self.pair]
         padded[:, self.pair, place] = partial
-        while padded.shape[2] > 1:  # neighbors are added first: more zeros behind change nothing
-            padded = padded[:, :, 0::2] + padded[:, :, 1::2]
-        return padded[:, :, 0].t()  # (B, C)
-
-
-def _halved(values: Tensor) -> Tensor:
-    """Sums (...) of values (..., 256): the later half is added to the earlier one until one number is left."""
-    while values.shape[-1] > 1:
-        half = values.shape[-1] // 2
-        values = values[..., :half] + values[..., half:]
-    return values[..., 0]
+        return lane_sums(padded).t()  # (B, C)
 
 
 def dot(left: Tensor, right: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.refinement.point_to_plane import jacobian
 from torchreg.refinement.settle import Settling
 from torchreg.refinement.spread import CUT, FAINT
@@ -197,7 +197,7 @@ def _growth(J: Tensor, other: Tensor, shared: _Overlap) -> Tensor:
     values, vectors = torch.linalg.eigh(_products(J, weight))
     root = values.clamp(min=0).sqrt()
     whitened, back = (vectors / root) @ vectors.t(), (vectors * root) @ vectors.t()
-    both = row_sums(J[:, None] * other * weight)
+    both = lane_sums(J[:, None] * other * weight)
     if not bool(values[0] > 1e-12 * values[-1]):
         return torch.full_like(both, torch.nan)
     genuine, motions = torch.linalg.eigh(whitened @ ((both + both.t()) / 2) @ whitened)  # shares of the resistance
@@ -207,12 +207,12 @@ def _growth(J: Tensor, other: Tensor, shared: _Overlap) -> Tensor:
 
 
 def _means(values: Tensor) -> Tensor:
-    return row_sums(values) / values.shape[1]
+    return lane_sums(values) / values.shape[1]
 
 
 def _products(J: Tensor, weight: Tensor) -> Tensor:
     """Sum of w J J^T (6, 6) over rows (6, N)."""
-    return row_sums(J[:, None] * J * weight)
+    return lane_sums(J[:, None] * J * weight)
 
 
 def _inverse(matrix: Tensor) -> Tensor:

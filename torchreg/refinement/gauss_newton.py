@@ -39,11 +39,13 @@ def solve(sums: Tensor, center: Tensor) -> Update:
     makes it, R = Rz Ry Rx of the three angles about the zero of the target's points, from which the center counts, so
     that iterates agree.
     """
-    sums, center = sums.contiguous(), center.contiguous()
-    return _solve_compiled(sums, center) if native(sums, center) else _solve(sums, center)
+    if native(sums, center):
+        return _solve_compiled(sums.contiguous(), center.contiguous())
+    return _solve(sums, center)
 
 
 def _solve_compiled(sums: Tensor, center: Tensor) -> Update:
+    """As ``_solve``."""
     rotation, usable = sums.new_empty(len(sums), 3, 3), torch.empty(len(sums), dtype=torch.bool)
     translation = torch.empty_like(center)
     call("gauss_newton", sums, center, len(sums), rotation, translation, usable)

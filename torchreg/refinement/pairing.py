@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.chunks import stable_sum
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
@@ -80,5 +80,5 @@ def leave(frames: Frames, rotation: Tensor, translation: Tensor) -> Tensor:
 
 
 def _means(clouds: Clouds) -> Tensor:
-    means = [stable_sum(clouds.points[i:j].double()) / max(1, j - i) for i, j in spans(clouds.offsets)]
+    means = [lane_sums(clouds.points[i:j].double(), dim=0) / max(1, j - i) for i, j in spans(clouds.offsets)]
     return torch.stack(means) if means else clouds.origin

@@ -94,7 +94,7 @@ class SurfelPairs:
         """The residuals of the active pairs of ``matches``, whose sources are turned by ``rotation`` (B, 3, 3)."""
         extra = self._extra if extra is None else extra
         normal = matches.partner[3:6]
-        if not self._colored and native(extra, matches.moved):
+        if native(extra, matches.moved) and not self._colored:
             return _residuals_compiled(matches, rotation, extra)
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
         own = turned(rotation[matches.blocks.pair], extra[:3])

@@ -76,9 +76,7 @@ def residual_spread(shown: Residuals, blocks: Blocks) -> ResidualSpread:
 def medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
     """Medians (B,) of values (n, 256) where ``kept``; 0 where a pair has none."""
     if native(values, kept):
-        out = values.new_empty(len(blocks.counts))
-        call("block_medians", values.contiguous(), kept.contiguous(), offsets_of(blocks.counts), len(out), out)
-        return out
+        return _medians_compiled(values, kept, blocks)
     ends = torch.tensor(blocks.counts).cumsum(0).tolist()
     found = []
     for end, count in zip(ends, blocks.counts, strict=True):
@@ -88,11 +86,18 @@ def medians(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
     return torch.stack(found)
 
 
+def _medians_compiled(values: Tensor, kept: Tensor, blocks: Blocks) -> Tensor:
+    """As ``medians``."""
+    out = values.new_empty(len(blocks.counts))
+    call("block_medians", values.contiguous(), kept.contiguous(), offsets_of(blocks.counts), len(out), out)
+    return out
+
+
 def normal_equations(shown: Residuals, matches: Correspondence, spread: ResidualSpread) -> Tensor:
     """The sums (B, 28) of the normal equations."""
     blocks = matches.blocks
     deviation = deviations(shown, spread, blocks)
-    if shown.shades is None and native(deviation):
+    if native(deviation) and shown.shades is None:
         return _equations_compiled(shown, matches, deviation, CUT * spread.scale)
     cut = CUT * spread.scale[blocks.pair][:, None]
 

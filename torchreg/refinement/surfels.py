@@ -18,6 +18,7 @@ from torchreg.errors import expect, expect_shape
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.morton import occupied_cells
 from torchreg.geometry.numerics.chunks import row_chunks
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.native import call, native
 from torchreg.neighborhoods.point_index import several_nearest
 from torchreg.preprocess.downsample import CountedVoxels, counted_voxels, in_morton_order, voxel_downsample
@@ -160,8 +161,7 @@ def _planes(
 
     The planes of neighbors (r, K), rows of ``base`` with weights (P,), about centers (r, 3).
     """
-    measure = _moments_compiled if native(centers, base.points, base.colors, weight, near) else _moments
-    mean, spread, reach, colors = measure(centers, base, weight, near)
+    mean, spread, reach, colors = _moments(centers, base, weight, near)
     values, vectors = symmetric_eigen(spread)
     return centers + mean, vectors[:, :, 0].contiguous(), values.clamp(min=0), reach, colors
 
@@ -173,6 +173,8 @@ def _freedom(neighbors: int) -> float:
 
 def _moments(centers: Tensor, base: Clouds, weight: Tensor, near: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Means (r, 3) about the centers, the upper triangle of spreads (r, 3, 3), reach and colors of ``_planes``."""
+    if native(centers, base.points, base.colors, weight, near):
+        return _moments_compiled(centers, base, weight, near)
     weights = weight[near]  # (r, K)
     total = _in_order(weights)
     apart = [base.points[:, axis][near] - centers[:, axis, None] for axis in range(3)]  # 3 x (r, K)
@@ -206,7 +208,7 @@ def _moments_compiled(
 
 def _in_order(values: Tensor) -> Tensor:
     """Sums (r, ...) of values (r, K, ...), one after another."""
-    return values.cumsum(dim=1)[:, -1]
+    return lane_sums(values, 1, dim=1)
 
 
 def _flattest(variances: Tensor, near: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ class TreeCorrespondence(Correspondence):
 
     def _begin(self) -> None:
         """Nothing has been searched."""
-        self._known = self.source.new_empty(len(self.square), call("icp_known"))
+        self._known = self.source.new_empty(len(self.square), call("search_state_size"))
         self._rows = self.blocks.real.sum(dim=1)  # (n,)
         self._fresh = True
 
@@ -38,7 +38,7 @@ class TreeCorrespondence(Correspondence):
         trees = addresses([self.target.search[b] for b in self.pairs])
         values = self.target.values
         call(
-            "icp_move",
+            "move_blocks",
             self.source,
             len(self.square),
             self.blocks.pair,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.metrics.fit import relative_transform
 from torchreg.neighborhoods.coverage import Coverage, coverage
@@ -87,8 +87,8 @@ def size_of(cloud: Clouds) -> float:
     if len(cloud.points) == 0:
         return 0.0
     wide = cloud.points.double()
-    apart = (wide - row_sums(wide.t()) / len(wide)).square()
-    return math.sqrt(float(row_sums(apart.t()).sum()) / len(wide))
+    apart = (wide - lane_sums(wide, dim=0) / len(wide)).square()
+    return math.sqrt(float(lane_sums(apart, dim=0).sum()) / len(wide))
 
 
 def given_residuals(

@@ -17,7 +17,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.refinement.refine import Refined
 from torchreg.registration.refined import size_of
@@ -109,4 +109,4 @@ def refined_link(link: Link, refined: Refined, pair: int) -> Link:
 
 def _middle(cloud: Clouds) -> Tensor:
     """The mean (3,) float64 of the points of one cloud, in the frame of its file."""
-    return (row_sums(cloud.points.double().t().contiguous()) / len(cloud.points) + cloud.origin[0]).cpu()
+    return (lane_sums(cloud.points.double(), dim=0) / len(cloud.points) + cloud.origin[0]).cpu()

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.halving import halved, halving_width
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.native import call, native
 from torchreg.solvers.points import PairPoints
 from torchreg.solvers.scoring import ERROR_SHARES, Quality, Scored, by_count, score
@@ -23,10 +23,7 @@ def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality =
     """Refit hypotheses to their inliers until none gets better, at most ``rounds`` times."""
     scored = Scored(*(part.clone(memory_format=torch.contiguous_format) for part in scored))
     if native(*scored) and quality in ERROR_SHARES:
-        poses = (scored.rotation, scored.translation, scored.pair, points.squared_thresholds()[scored.pair])
-        by = (max(0, rounds), ERROR_SHARES[quality])
-        call("optimize_poses", *poses, len(scored.pair), *points.kernel_arguments(), *by, *scored[3:])
-        return scored
+        return _optimized_compiled(scored, points, rounds, ERROR_SHARES[quality])
     active = torch.arange(len(scored.support), device=scored.pair.device)
     before = scored
     for _ in range(rounds):
@@ -41,10 +38,18 @@ def optimize(scored: Scored, points: PairPoints, rounds: int, quality: Quality =
     return scored
 
 
+def _optimized_compiled(scored: Scored, points: PairPoints, rounds: int, share: float) -> Scored:
+    """As ``optimize``, in place, by the quality with this share of the error."""
+    poses = (scored.rotation, scored.translation, scored.pair, points.squared_thresholds()[scored.pair])
+    by = (max(0, rounds), share)
+    call("optimize_poses", *poses, len(scored.pair), *points.kernel_arguments(), *by, *scored[3:])
+    return scored
+
+
 def fit(inliers: Tensor, pair: Tensor, points: PairPoints) -> tuple[Tensor, Tensor]:
     """Least-squares rotations (3, 3, H) and translations (3, H) for inlier masks (H, M) of the pairs (H,)."""
     support = inliers.sum(dim=1)
-    widest = halving_width(int(support.amax()) if len(support) else 0)
+    widest = max(1, int(support.amax())) if len(support) else 1
     none = [points.source.new_zeros(*shape, 0) for shape in ((3,), (3,), (3, 3))]
     moments = [
         _moments(inliers[rows], support[rows], pair[rows], points, widest)
@@ -68,8 +73,8 @@ def _moments(
     for side in (points.source, points.target):
         wide = side.new_zeros(3, len(inliers), widest)
         wide.flatten(1)[:, places] = side.flatten(1).index_select(1, number)
-        means.append(halved(wide) / total)  # (3, R)
+        means.append(lane_sums(wide) / total)  # (3, R)
         wide.flatten(1)[:, places] -= means[-1].index_select(1, row)
         moved.append(wide)
-    covariance = torch.stack([halved(p * moved[1]) for p in moved[0]])  # (3, 3, R)
+    covariance = torch.stack([lane_sums(p * moved[1]) for p in moved[0]])  # (3, 3, R)
     return means[0], means[1], covariance

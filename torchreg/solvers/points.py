@@ -12,11 +12,8 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.types import Clouds, Correspondences
-
-KERNEL_TYPES = {torch.float32: "f32", torch.float64: "f64"}
-"""The ends of the names of compiled kernels, by the type of the numbers that they take."""
 
 _MASK = (1 << 64) - 1
 
@@ -97,7 +94,7 @@ def gather_points(
     sides = []
     for clouds, rows in ((source, matches.source[place]), (target, matches.target[place])):
         wide = torch.where(valid, clouds.points[rows].double().permute(2, 0, 1).contiguous(), 0.0)  # (3, B, M)
-        center = row_sums(wide) / valid.sum(dim=1)  # (3, B)
+        center = lane_sums(wide) / valid.sum(dim=1)  # (3, B)
         first = clouds.offsets[index].to(device)[:, None]
         sides.append((torch.where(valid, wide - center[..., None], 0.0), center.t(), (rows - first)[valid]))
     (p, source_center, rows_p), (q, target_center, rows_q) = sides

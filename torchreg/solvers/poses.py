@@ -21,11 +21,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation
-from torchreg.native import call, native
+from torchreg.native import KERNEL_TYPES, call, native
 from torchreg.solvers.local_optimization import optimize
-from torchreg.solvers.points import KERNEL_TYPES, PairPoints, first_of_each, ranks
+from torchreg.solvers.points import PairPoints, first_of_each, ranks
 from torchreg.solvers.scoring import Quality, Scored, orthonormal, score
 from torchreg.solvers.solver import Hypotheses
 from torchreg.types import Failure
@@ -150,9 +150,7 @@ def spread_out(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int
     """
     limits = torch.tensor([radius * radius for radius in radii], dtype=torch.float64).to(vectors)
     if native(vectors, pair) and vectors.dtype in KERNEL_TYPES:
-        places = torch.empty_like(pair, memory_format=torch.contiguous_format)
-        given = (vectors.contiguous(), pair.contiguous(), limits, len(pair), count)
-        return places[: call(f"spread_out_{KERNEL_TYPES[vectors.dtype]}", *given, places)]
+        return _places_compiled(vectors, pair, limits, count)
     place = torch.arange(vectors.shape[1], device=vectors.device)
     chosen = [place[:0]]
     for _ in range(count):
@@ -164,6 +162,13 @@ def spread_out(vectors: Tensor, pair: Tensor, radii: Sequence[float], count: int
         apart = (_square(difference) > limits[pair]).nonzero()[:, 0]
         place, pair, vectors = place[apart], pair[apart], vectors[:, apart]
     return torch.cat(chosen).sort().values
+
+
+def _places_compiled(vectors: Tensor, pair: Tensor, limits: Tensor, count: int) -> Tensor:
+    """As ``spread_out``, with squares of the radii (B,)."""
+    places = torch.empty_like(pair, memory_format=torch.contiguous_format)
+    given = (vectors.contiguous(), pair.contiguous(), limits, len(pair), count)
+    return places[: call(f"spread_out_{KERNEL_TYPES[vectors.dtype]}", *given, places)]
 
 
 def _square(difference: Tensor) -> Tensor:
@@ -186,9 +191,9 @@ def _vectors(rotation: Tensor, translation: Tensor, mean: Tensor, root: Tensor) 
 def _moments(source: Tensor, valid: Tensor, counts: Sequence[int]) -> tuple[Tensor, Tensor]:
     """The means (3, B) and roots (3, 3, B) of the covariances of points (3, B, M), where valid (B, M)."""
     count = torch.tensor([max(1, number) for number in counts], dtype=source.dtype, device=source.device)
-    mean = row_sums(source) / count
+    mean = lane_sums(source) / count
     moved = torch.where(valid, source - mean[..., None], 0.0)
-    products = row_sums((moved[:, None] * moved[None]).flatten(0, 1)) / count  # (9, B)
+    products = lane_sums((moved[:, None] * moved[None]).flatten(0, 1)) / count  # (9, B)
     values, vectors = torch.linalg.eigh(products.t().reshape(-1, 3, 3))
     root = vectors * values.clamp(min=0).sqrt()[:, None]
     return mean, root.permute(1, 2, 0)

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchreg.geometry.best_rotation import best_rotation
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.halving import halved, halving_width
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.native import call, native
 from torchreg.solvers.points import PairPoints
 
@@ -154,7 +154,7 @@ def score(
     columns = points.source.shape[2]
     inliers = points.valid.new_empty(len(pair), columns)
     error = torch.empty_like(limit)
-    for rows in row_chunks(len(pair), halving_width(columns), _SCORE_ELEMENTS):
+    for rows in row_chunks(len(pair), columns, _SCORE_ELEMENTS):
         numbers = pair[rows]
         near = (points.source[:, 0], points.target[:, 0])  # one pair's points need no copy
         if len(points.counts) > 1:
@@ -162,7 +162,7 @@ def score(
         square = residuals(rotation[..., rows], translation[:, rows], *near)
         inside = (square < limit[rows, None]).logical_and_(points.valid[numbers])
         inliers[rows] = inside
-        error[rows] = halved(square.masked_fill_(inside.logical_not_(), 0.0))
+        error[rows] = lane_sums(square.masked_fill_(inside.logical_not_(), 0.0))
     support = inliers.sum(dim=1)
     return Scored(rotation, translation, pair, inliers, support, error, quality(support, error, limit))
 

@@ -98,8 +98,8 @@ class _Counted(NamedTuple):
 
 
 def _counted(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Counted:
-    if rotation.dtype == cells.source.dtype == torch.float64 and native(*cells[:4], rotation, translation):
-        return _compiled(cells, rotation.detach().contiguous(), translation.detach().contiguous())
+    if native(*cells[:4], rotation, translation) and rotation.dtype == cells.source.dtype == torch.float64:
+        return _counted_compiled(cells, rotation.detach().contiguous(), translation.detach().contiguous())
     parts = [
         _counted_of_few(cells, rotation[rows], translation[rows])
         for rows in row_chunks(len(rotation), cells.targets[0].numel(), _ELEMENTS)
@@ -107,7 +107,7 @@ def _counted(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Count
     return joined(parts)
 
 
-def _compiled(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Counted:
+def _counted_compiled(cells: MatchCells, rotation: Tensor, translation: Tensor) -> _Counted:
     """As ``_counted_of_few``, of any number of poses."""
     support = cells.last.new_empty(len(rotation))
     shares = rotation.new_empty(2, len(rotation))

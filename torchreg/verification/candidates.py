@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import padded_row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.verification.information import WeakestMotion
 from torchreg.verification.model import Evidence
@@ -164,9 +164,9 @@ def distinct(vectors: Tensor, pair: Tensor, apart: Tensor) -> list[int]:
 def point_moments(points: Tensor, valid: Tensor, counts: Tensor) -> PointMoments:
     """The moments of points (3, G, L), filled up where not ``valid`` (G, L); ``counts`` (G,) float64 of each scan."""
     wide, count = points.double(), counts.clamp(min=1)
-    mean = padded_row_sums(wide) / count  # (3, G)
+    mean = lane_sums(wide) / count  # (3, G)
     apart = torch.where(valid, wide - mean[..., None], 0.0)
-    products = padded_row_sums(torch.stack([apart[i] * apart for i in range(3)]))  # (3, 3, G)
+    products = lane_sums(torch.stack([apart[i] * apart for i in range(3)]))  # (3, 3, G)
     return PointMoments(mean.t(), products.permute(2, 0, 1), count)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.lanes import lane_sums
+from torchreg.geometry.numerics.sums import SAMPLE_LANES, lane_sums
 from torchreg.native import call, native
 from torchreg.verification.partners import Partners
 from torchreg.verification.scans import STRIDE, thinned
@@ -41,8 +41,8 @@ def concordance(one: Tensor, other: Tensor, pair: Tensor, found: Partners, squar
     """
     sums = _summed(one, other, pair, found, square_limit)
     count = sums.partners.double().clamp(min=1)[:, None]
-    apart, square = ((part / count).cumsum(dim=1)[:, -1] for part in (sums.apart, sums.squares))
-    middle = ((sums.one / count) * (sums.other / count)).cumsum(dim=1)[:, -1]
+    apart, square = (lane_sums(part / count) for part in (sums.apart, sums.squares))
+    middle = lane_sums((sums.one / count) * (sums.other / count))
     strangers = square - 2 * middle  # of each with the partners of all others, squared
     enough = (sums.partners >= _LEAST) & (strangers > _ALIKE)
     return torch.where(enough, 1 - apart / strangers.clamp(min=_ALIKE), 0.0)
@@ -50,15 +50,20 @@ def concordance(one: Tensor, other: Tensor, pair: Tensor, found: Partners, squar
 
 def _summed(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_limit: Tensor) -> _FeatureSums:
     if native(one, other, found.square):
-        width, (rows, length) = one.shape[2], found.square.shape
-        count, sums = torch.empty_like(pair), torch.empty(4, rows, width, dtype=torch.float64)
-        tensors = (one, other, *found, square_limit, pair, count, sums)
-        call("feature_sums", *tensors, one.shape[1], STRIDE, width, rows, length)
-        return _FeatureSums(count, *sums)
+        return _summed_compiled(one, other, pair, found, square_limit)
     close = thinned(found.square < square_limit[:, None])[..., None]  # (R, L', 1)
     row = thinned(found.row)
     own = torch.where(close, one[pair], 0.0)
     partner = torch.where(close, other.index_select(0, row.view(-1)).view(own.shape), 0.0)
     difference = own - partner
     numbers = (difference * difference, own * own + partner * partner, own, partner)
-    return _FeatureSums(close.sum(dim=(1, 2)), *(lane_sums(values.double(), dim=1) for values in numbers))
+    return _FeatureSums(close.sum(dim=(1, 2)), *(lane_sums(values.double(), SAMPLE_LANES, dim=1) for values in numbers))
+
+
+def _summed_compiled(one: Tensor, other: Tensor, pair: Tensor, found: Partners, square_limit: Tensor) -> _FeatureSums:
+    """As ``_summed``."""
+    width, (rows, length) = one.shape[2], found.square.shape
+    count, sums = torch.empty_like(pair), torch.empty(4, rows, width, dtype=torch.float64)
+    tensors = (one, other, *found, square_limit, pair, count, sums)
+    call("feature_sums", *tensors, one.shape[1], STRIDE, width, rows, length)
+    return _FeatureSums(count, *sums)

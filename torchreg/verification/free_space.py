@@ -107,13 +107,18 @@ def visible_counts(images: RangeImages, which: Tensor, points: Tensor, valid: Te
     As ``visibility``, but rows without an image, ``which`` is -1, have zeros.
     """
     if native(points, margin):
-        counts = torch.empty(2, len(which), dtype=torch.int64)
-        parts = (points.contiguous(), valid.contiguous(), which, margin.float())
-        call("visible_counts", *parts, *images, counts, len(images.side), *valid.shape)
-        return counts
+        return _counts_compiled(images, which, points, valid, margin)
     seen = visibility(images, which.clamp(min=0), points, margin)
     valid = valid & (which >= 0)[:, None]
     return torch.stack([(seen.before & valid).sum(dim=1), (seen.on & valid).sum(dim=1)])
+
+
+def _counts_compiled(images: RangeImages, which: Tensor, points: Tensor, valid: Tensor, margin: Tensor) -> Tensor:
+    """As ``visible_counts``."""
+    counts = torch.empty(2, len(which), dtype=torch.int64)
+    parts = (points.contiguous(), valid.contiguous(), which, margin.float())
+    call("visible_counts", *parts, *images, counts, len(images.side), *valid.shape)
+    return counts
 
 
 def _length(vectors: Tensor) -> Tensor:

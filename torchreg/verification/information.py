@@ -13,12 +13,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.lanes import lane_sums
-from torchreg.geometry.numerics.sums import padded_row_sums
-from torchreg.native import call, native
+from torchreg.geometry.numerics.sums import SAMPLE_LANES, lane_sums
+from torchreg.native import KERNEL_TYPES, call, native
 
 _LEAST = 6  # points that can hold a pose
-_KERNELS = {torch.float32: "moment_sums_float", torch.float64: "moment_sums_double"}
 _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # xx, yy, zz, xy, xz, yz
 
 
@@ -38,8 +36,8 @@ def information_matrices(points: Tensor, valid: Tensor) -> Tensor:
     in the frame of the file, where ``valid`` (G, L).
     """
     wide = torch.where(valid, points, 0.0)
-    x, y, z = padded_row_sums(wide).unbind(0)
-    xx, yy, zz, xy, xz, yz = padded_row_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
+    x, y, z = lane_sums(wide).unbind(0)
+    xx, yy, zz, xy, xz, yz = lane_sums(torch.stack([wide[i] * wide[j] for i, j in _PRODUCTS])).unbind(0)
     all_squares, zero, count = xx + yy + zz, torch.zeros_like(x), valid.sum(dim=1).double()
     rows = [  # the sum of -[p]x [p]x, [p]x and the identity
         [all_squares - xx, zero - xy, zero - xz, zero, -z, y],
@@ -69,7 +67,7 @@ def weakest_motions(points: Tensor, normals: Tensor, valid: Tensor) -> WeakestMo
     apart = p - planes.center[..., None]
     moved = torch.linalg.cross(turn.t()[..., None].expand_as(p), apart, dim=0) + shift.t()[..., None]
     x, y, z = torch.where(valid, moved, 0.0).square_().unbind(0)
-    square = padded_row_sums(x.add_(y).add_(z)) / valid.sum(dim=1).clamp(min=1)
+    square = lane_sums(x.add_(y).add_(z)) / valid.sum(dim=1).clamp(min=1)
     far = square.sqrt().clamp(min=1e-12)[:, None]
     return WeakestMotion(strength, turn / far, shift / far, planes.center.t())
 
@@ -100,17 +98,11 @@ def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor
     The upper triangles (21, R) of point-to-plane information, row by row, turns in radians about the centers; the
     centers (3, R); and the squared distances to these (R,).
     """
-    if native(points, normals, valid) and normals.dtype == torch.float32 and points.dtype in _KERNELS:
-        rows = len(valid)
-        products, center, square = (
-            torch.empty(shape, dtype=torch.float64) for shape in ((21, rows), (3, rows), (rows,))
-        )
-        parts = (part.contiguous() for part in (points, normals, valid))
-        call(_KERNELS[points.dtype], *parts, products, center, square, *valid.shape)
-        return products, center, square
+    if native(points, normals, valid) and points.dtype in KERNEL_TYPES and normals.dtype == torch.float32:
+        return _moments_compiled(points, normals, valid)
     weight = valid.double()  # (R, L)
     p, n = points.double(), normals.double()  # (3, R, L)
-    center = lane_sums(p * weight) / valid.sum(dim=1).clamp(min=1)
+    center = lane_sums(p * weight, SAMPLE_LANES) / valid.sum(dim=1).clamp(min=1)
     (x, y, z), (a, b, c) = (p - center[..., None]).mul_(weight).unbind(0), (n * weight).unbind(0)
     motions = torch.stack([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c])  # (6, R, L)
     products = torch.empty(21, *weight.shape, dtype=motions.dtype, device=motions.device)
@@ -118,7 +110,16 @@ def _moment_sums(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor
     for i in range(6):
         torch.mul(motions[i:], motions[i], out=products[begin : begin + 6 - i])
         begin += 6 - i
-    return lane_sums(products), center, lane_sums(x * x + y * y + z * z)
+    return lane_sums(products, SAMPLE_LANES), center, lane_sums(x * x + y * y + z * z, SAMPLE_LANES)
+
+
+def _moments_compiled(points: Tensor, normals: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """As ``_moment_sums``."""
+    rows = len(valid)
+    products, center, square = (torch.empty(shape, dtype=torch.float64) for shape in ((21, rows), (3, rows), (rows,)))
+    parts = (part.contiguous() for part in (points, normals, valid))
+    call(f"moment_sums_{KERNEL_TYPES[points.dtype]}", *parts, products, center, square, *valid.shape)
+    return products, center, square
 
 
 def _strength(matrix: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

@@ -77,16 +77,23 @@ def _counted(source: Tensor, target: Tensor, first: Tensor, second: Tensor, leas
     numbers = [math.exp(2 * _STEP * (bin + 0.5)) for bin in range(-_BINS - 1, _BINS + 1)]
     edges = torch.tensor(numbers, dtype=source.dtype, device=source.device)
     if native(source, target) and source.dtype == target.dtype == torch.float64:
-        counts = torch.zeros(1 + _REPAIRINGS, len(edges) + 1, dtype=torch.int64)
-        compared = torch.zeros(1 + _REPAIRINGS, dtype=torch.int64)
-        points = (side.detach().contiguous() for side in (source, target))
-        ends = (rows.contiguous() for rows in (first, second))
-        call("length_ratio_counts", *points, *ends, edges, counts, compared, len(first), len(edges), _REPAIRINGS, least)
-        return counts[:, 1:-1], compared
+        return _counted_compiled(source, target, first, second, least, edges)
     p, q = (_squared_lengths(side, first, second) for side in (source, target))
     parts = [_counts(p, q.roll(step * len(q) // (_REPAIRINGS + 1)), least, edges) for step in range(1 + _REPAIRINGS)]
     counts, compared = map(torch.stack, zip(*parts, strict=True))
     return counts, compared
+
+
+def _counted_compiled(
+    source: Tensor, target: Tensor, first: Tensor, second: Tensor, least: float, edges: Tensor
+) -> tuple[Tensor, Tensor]:
+    """As ``_counted``, with the ``edges`` of the bins."""
+    counts = torch.zeros(1 + _REPAIRINGS, len(edges) + 1, dtype=torch.int64)
+    compared = torch.zeros(1 + _REPAIRINGS, dtype=torch.int64)
+    points = (side.detach().contiguous() for side in (source, target))
+    ends = (rows.contiguous() for rows in (first, second))
+    call("length_ratio_counts", *points, *ends, edges, counts, compared, len(first), len(edges), _REPAIRINGS, least)
+    return counts[:, 1:-1], compared
 
 
 def _squared_lengths(points: Tensor, first: Tensor, second: Tensor) -> Tensor:

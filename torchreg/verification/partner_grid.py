@@ -14,8 +14,12 @@ from torch import Tensor
 from torchreg.native import call
 from torchreg.types.packing import offsets_of
 
-_SLACK = 1.01  # of a cell's width to the limit: far more than rounding
-_MARGIN = 2  # empty cells around a scan
+SLACK = 1.01
+"""Of a cell's width to the limit: far more than rounding."""
+
+MARGIN = 2
+"""Empty cells around a scan: one that its points reach into, one that nothing reaches into."""
+
 _LONGEST = 4000  # cells along an axis: more would round points into other cells
 _CELLS = 1 << 16  # of a scan at most, or ``_CELLS_PER_POINT`` times its points; a scan that is wider has wider cells
 _CELLS_PER_POINT = 8
@@ -42,7 +46,7 @@ def partner_grid(points: Tensor, sizes: Sequence[int], limit: Tensor) -> Partner
     widths, counts = [], []
     for extent, size, within in zip(extents, sizes, limit.tolist(), strict=True):
         most = max(_CELLS, _CELLS_PER_POINT * size)
-        width = max(_SLACK * within, max(extent) / _LONGEST)
+        width = max(SLACK * within, max(extent) / _LONGEST)
         while _volume(_cells(extent, width)) > most:
             width *= _WIDER
         widths.append(width)
@@ -75,7 +79,7 @@ def nearest_in_grid(
 
 def _cells(extent: Sequence[float], width: float) -> list[int]:
     """Cells along the axes; one more than there may be, since the coordinates of points are rounded."""
-    return [int(length / width) + 2 + 2 * _MARGIN for length in extent]
+    return [int(length / width) + 2 + 2 * MARGIN for length in extent]
 
 
 def _volume(counts: Sequence[int]) -> int:

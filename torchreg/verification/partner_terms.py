@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.gather import gather, gather_columns
-from torchreg.geometry.numerics.lanes import lane_sums
+from torchreg.geometry.numerics.sums import SAMPLE_LANES, lane_sums
 from torchreg.native import call, native
 from torchreg.verification.partners import Partners
 from torchreg.verification.scans import Scans, rotated
@@ -79,7 +79,7 @@ def _summed(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, found: Partners, square_limit: Tensor
 ) -> _PartnerSums:
     if native(found.square, rotation):
-        return _compiled(source, target, pair, rotation, found, square_limit)
+        return _summed_compiled(source, target, pair, rotation, found, square_limit)
     close = found.square < square_limit[:, None]  # (R, L)
     weight = close.double()
     closeness = torch.where(close, 1 - found.square / square_limit[:, None], 0.0)
@@ -95,12 +95,19 @@ def _summed(
     if source.colors is not None and target.all_colors is not None:
         one, other = source.colors[:, pair], gather_columns(target.all_colors, found.row)  # (3, R, L)
         total = close.sum(dim=1).double().clamp(min=1)
-        a, b = ((part - (lane_sums(part * weight) / total)[..., None]).mul_(weight) for part in (one, other))
-        squares = torch.stack([lane_sums(x * y) for x, y in ((a, b), (a, a), (b, b))])
-    return _PartnerSums(close.sum(dim=1), lane_sums(closeness.double()), lane_sums(cosines.double()), *squares)
+        a, b = (
+            (part - (lane_sums(part * weight, SAMPLE_LANES) / total)[..., None]).mul_(weight) for part in (one, other)
+        )
+        squares = torch.stack([lane_sums(x * y, SAMPLE_LANES) for x, y in ((a, b), (a, a), (b, b))])
+    return _PartnerSums(
+        close.sum(dim=1),
+        lane_sums(closeness.double(), SAMPLE_LANES),
+        lane_sums(cosines.double(), SAMPLE_LANES),
+        *squares,
+    )
 
 
-def _compiled(
+def _summed_compiled(
     source: Scans, target: Scans, pair: Tensor, rotation: Tensor, found: Partners, square_limit: Tensor
 ) -> _PartnerSums:
     """As ``_summed``."""

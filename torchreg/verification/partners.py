@@ -18,11 +18,9 @@ from torchreg.native import call, native
 from torchreg.neighborhoods.point_index import PointIndex
 from torchreg.types.packing import offsets_of
 from torchreg.verification.candidates import runs_of
-from torchreg.verification.partner_grid import PartnerGrid, nearest_in_grid, partner_grid
+from torchreg.verification.partner_grid import MARGIN, SLACK, PartnerGrid, nearest_in_grid, partner_grid
 
-_SLACK = 1.01  # of a cell's width to the threshold: far more than rounding
 _MOST = 64  # cells along an axis; a scan that is wider has wider cells
-_MARGIN = 2  # empty cells around a scan: one that its points reach into, one that nothing reaches into
 
 
 class Occupancy(NamedTuple):
@@ -101,8 +99,8 @@ def occupancy(points: Tensor, sizes: Sequence[int], threshold: Tensor) -> Occupa
     parts = points.split(list(sizes), dim=1)
     low = torch.stack([part.amin(dim=1) for part in parts], dim=1)  # (3, G)
     extent = torch.stack([part.amax(dim=1) for part in parts], dim=1) - low
-    width = torch.maximum((_SLACK * threshold).to(points.dtype), extent.amax(dim=0) / _MOST)
-    last = torch.floor(extent / width) + 2 * _MARGIN
+    width = torch.maximum((SLACK * threshold).to(points.dtype), extent.amax(dim=0) / _MOST)
+    last = torch.floor(extent / width) + 2 * MARGIN
     counts = last.long() + 1
     stride = torch.stack([counts[1] * counts[2], counts[2], torch.ones_like(counts[2])])
     volumes = counts.prod(dim=0)
@@ -125,8 +123,13 @@ def can_be_near(cells: Occupancy, scan: Tensor, queries: Tensor) -> Tensor:
 
 def near_counts(cells: Occupancy, scan: Tensor, queries: Tensor, valid: Tensor) -> Tensor:
     """How many (R,) int64 of the queries (3, R, N), where ``valid`` (R, N), ``can_be_near``."""
-    if not native(queries):
-        return (can_be_near(cells, scan, queries) & valid).sum(dim=1)
+    if native(queries):
+        return _counts_compiled(cells, scan, queries, valid)
+    return (can_be_near(cells, scan, queries) & valid).sum(dim=1)
+
+
+def _counts_compiled(cells: Occupancy, scan: Tensor, queries: Tensor, valid: Tensor) -> Tensor:
+    """As ``near_counts``."""
     counts = torch.empty_like(scan)
     parts = (queries.contiguous(), scan, valid.contiguous())
     call("near_counts", *parts, *cells, counts, len(cells.first), *queries.shape[1:])
@@ -137,7 +140,7 @@ def _cell(cells: Occupancy, scan: Tensor, points: Tensor) -> Tensor:
     """The cells (...) of points (3, ...), among all; beyond the margin, one at its edge."""
     cell = cells.first[scan]
     for axis, low, last, stride in zip(points, cells.low, cells.last, cells.stride, strict=True):
-        place = torch.floor((axis - low[scan]) / cells.width[scan]).add_(_MARGIN)
+        place = torch.floor((axis - low[scan]) / cells.width[scan]).add_(MARGIN)
         place = torch.where(place > 0, place, 0.0)  # also where it is not a number
         cell = cell + torch.minimum(place, last[scan]).long() * stride[scan]
     return cell

@@ -3,8 +3,7 @@
 Of every scan there is an even sample of its points, a search tree over all of them, and where the position of its
 scanner is known, an image of the ranges that it measured. A position that is only assumed is no evidence: neither free
 space nor the signs of normals follow from it. Coordinates stand apart, (3, G, L), and the samples are filled up with
-zeros to one length L, so that one operation serves the poses of all pairs and sums keep their order
-(``geometry.numerics.sums``).
+zeros to one length L, so that one operation serves the poses of all pairs.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.numerics.sums import padded_length
 from torchreg.native import call, native
 from torchreg.types import Clouds
 from torchreg.types.packing import offsets_of
@@ -67,7 +65,7 @@ def prepared_scans(
     sizes = [len(cloud.points) for cloud in clouds]
     chosen = even_rows(sizes, sample, device)
     counts = torch.tensor([len(rows) for rows in chosen], device=device)
-    valid = torch.arange(padded_length(max(map(len, chosen))), device=device) < counts[:, None]  # (G, L)
+    valid = torch.arange(max(map(len, chosen)), device=device) < counts[:, None]  # (G, L)
     rows = torch.zeros(valid.shape, dtype=torch.int64, device=device)
     rows[valid] = torch.cat(chosen)
 
@@ -129,9 +127,8 @@ def _faced(cloud: Clouds) -> Tensor:
 
 
 def thinned(values: Tensor) -> Tensor:
-    """Every third of (..., L), filled up with zeros to a length that sums want."""
-    thin = values[..., ::STRIDE]
-    return torch.nn.functional.pad(thin, (0, padded_length(thin.shape[-1]) - thin.shape[-1]))
+    """Every third of (..., L), in memory of their own."""
+    return values[..., ::STRIDE].contiguous()
 
 
 def even_rows(sizes: Sequence[int], most: int, device: torch.device) -> list[Tensor]:
@@ -154,8 +151,13 @@ def rotated(rotation: Tensor, planes: Tensor) -> Tensor:
 
 def moved_points(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
     """The samples of pairs (R,) under poses (R, 3, 3), (R, 3) float32: (3, R, L)."""
-    if not native(scans.points, rotation, translation):
-        return rotated(rotation, scans.points[:, pair]).add_(translation.t()[..., None])
-    moved = torch.empty(3, len(pair), scans.points.shape[2])
+    if native(scans.points, rotation, translation):
+        return _moved_compiled(scans, pair, rotation, translation)
+    return rotated(rotation, scans.points[:, pair]).add_(translation.t()[..., None])
+
+
+def _moved_compiled(scans: Scans, pair: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
+    """As ``moved_points``."""
+    moved = scans.points.new_empty(3, len(pair), scans.points.shape[2])
     call("moved_points", scans.points, pair, rotation, translation, moved, *scans.points.shape[1:2], *moved.shape[1:])
     return moved

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.kabsch import from_moments
-from torchreg.geometry.numerics.sums import row_sums
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.solvers import CompatibilityOptions, poses_of_pairs
 from torchreg.types import Clouds, Correspondences
@@ -216,7 +216,7 @@ def _fitted(source: Tensor, target: Tensor, weights: Tensor, former: _Similarity
     p_spread, q_spread = (_total(weights * _square(side)) for side in (p, q))
     if not min(p_spread, q_spread) > 0:
         return former
-    covariance = row_sums((weights * p[:, None] * q[None]).flatten(0, 1)).reshape(3, 3)
+    covariance = lane_sums((weights * p[:, None] * q[None]).flatten(0, 1)).reshape(3, 3)
     rotation = from_moments(p_mean, q_mean, covariance)[:3, :3]
     factor = math.sqrt(q_spread / p_spread)
     return _Similarity(factor, rotation, q_mean - apply_rotation(rotation, factor * p_mean))
@@ -248,7 +248,7 @@ def _centered(points: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     """The weighted mean (3,) of points (M, 3), and the points about it, (3, M)."""
     columns = points.t()
     total = _total(weights)
-    mean = row_sums(weights * columns) / (total if total > 0 else 1.0)
+    mean = lane_sums(weights * columns) / (total if total > 0 else 1.0)
     return mean, columns - mean[:, None]
 
 
@@ -259,4 +259,4 @@ def _square(columns: Tensor) -> Tensor:
 
 def _total(values: Tensor) -> float:
     """The sum of (M,), in a fixed order."""
-    return float(row_sums(values[None])[0])
+    return float(lane_sums(values[None])[0])

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -235,13 +236,14 @@ def test_sections_can_be_added_and_left_out(pairs):
     ]
 
 
-def test_a_page_is_written_in_full_or_refused(pairs, tmp_path, text):
+def test_a_page_is_written_in_full_or_refused(pairs, tmp_path, text, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     source, target, result = pairs
     path = tmp_path / "page.html"
     write_report(path, result, source, target, names=("a.ply", "b.ply"), file_notes=["source: a note"])
     assert path.read_text(encoding="utf-8") == text
     with refuses("path", ".html", "page.pdf"):
-        write_report(tmp_path / "page.pdf", result, source, target)
+        write_report(Path("page.pdf"), result, source, target)
     with refuses("pair", "0 to 1", "2"):
         write_report(path, result, source, target, 2)
     with refuses("max_points", "1"):

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.histograms import neighbor_votes
-from torchreg.geometry.numerics.chunks import row_chunks, stable_sum
+from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.derivatives import TensorFunction, derivative_wanted, transformed
 from torchreg.geometry.numerics.gather import gather
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.types import Neighborhoods
 
 
@@ -177,4 +178,4 @@ class _Repeated(TensorFunction):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
-        return stable_sum(grads[0]), None
+        return lane_sums(grads[0], dim=0), None

@@ -1,5 +1,5 @@
 // Poses weighed on matches: torchreg/verification/agreement.py.
-#include "common.hpp"
+#include "rigid.hpp"
 
 namespace torchreg {
 namespace {
@@ -14,9 +14,9 @@ constexpr int64_t BLOCK = 8;    // poses
 // source (3, M), targets (3, K, M) float64, meters; last (C) and size (C) int64, of C cells; rotation (H, 3, 3) and
 // translation (H, 3) float64. Writes support (H) int64 and agreeing (2, H) float64: the sums over cells of the shares
 // of their matches that agree, first of the true pairing, then of all others together.
-KERNEL agreement(const double* source, const double* targets, const int64_t* last, const int64_t* size,
-                 const double* rotation, const double* translation, int64_t* support, double* agreeing, int64_t count,
-                 int64_t pairings, int64_t cells, int64_t poses, double square_limit, int64_t threads) {
+KERNEL(agreement, const double* source, const double* targets, const int64_t* last, const int64_t* size,
+                  const double* rotation, const double* translation, int64_t* support, double* agreeing, int64_t count,
+                  int64_t pairings, int64_t cells, int64_t poses, double square_limit, int64_t threads) {
     parallel(threads, poses, BLOCK, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> counts(2 * count * (end - begin));  // true pairings, then others, pose by pose
         double x[TILE], y[TILE], z[TILE];
@@ -27,9 +27,9 @@ KERNEL agreement(const double* source, const double* targets, const int64_t* las
                 const double *R = rotation + 9 * h, *t = translation + 3 * h;
                 const double *px = source + first, *py = px + count, *pz = py + count;
                 for (int64_t m = 0; m < n; ++m) {
-                    x[m] = R[0] * px[m] + R[1] * py[m] + R[2] * pz[m] + t[0];
-                    y[m] = R[3] * px[m] + R[4] * py[m] + R[5] * pz[m] + t[1];
-                    z[m] = R[6] * px[m] + R[7] * py[m] + R[8] * pz[m] + t[2];
+                    x[m] = turned(R, 0, px[m], py[m], pz[m]) + t[0];
+                    y[m] = turned(R, 1, px[m], py[m], pz[m]) + t[1];
+                    z[m] = turned(R, 2, px[m], py[m], pz[m]) + t[2];
                     near[m] = 0;
                 }
                 int32_t* of_pose = counts.data() + 2 * count * (h - begin) + first;

@@ -1,6 +1,6 @@
 // Local color contrast: spread and shift of every color channel, near a point and farther.
-#include "interleaved.hpp"
 #include "slots.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 namespace {
@@ -23,16 +23,13 @@ struct Moments {
 float share_of(int64_t count) { return 1.0f / static_cast<float>(std::max<int64_t>(count, 1)); }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // contrast of descriptors/contrast.py in float32: colors (P, 3), neighborhoods (P, K) with squared distances, inner
 // (P,) the square of the near radius, `level` added to means that divide, `constant` the last entry -> out (P, 10).
-KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
-                    int64_t valid_stride, const float* square, int64_t square_stride, const float* inner,
-                    int64_t count, int64_t width, double level, double constant, float* out, int64_t threads) {
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+KERNEL(contrast, const float* colors, const int64_t* index, int64_t index_stride, const uint8_t* valid,
+                int64_t valid_stride, const float* square, int64_t square_stride, const float* inner, int64_t count,
+                int64_t width, double level, double constant, float* out, int64_t threads) {
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     const std::vector<float> table = records(colors, count);
     const float least = static_cast<float>(level);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
@@ -43,13 +40,13 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
             const float* own = table.data() + RECORD * row;
             const float radius = inner[row];
             const int64_t used = slots.used(row);
-            alignas(64) float lanes[3 * SUMS][LANES] = {};
+            alignas(64) float lanes[3 * SUMS][NEIGHBOR_LANES] = {};
             float sums[3 * SUMS];
             int64_t near_count = 0, far_count = 0;
-            for (int64_t first = 0; first < used; first += LANES) {
-                alignas(64) float others[RECORD * LANES], core[LANES], whole[LANES];
-                const int64_t here = std::min(LANES, used - first);
-                for (int64_t k = 0; k < LANES; ++k) {
+            for (int64_t first = 0; first < used; first += NEIGHBOR_LANES) {
+                alignas(64) float others[RECORD * NEIGHBOR_LANES], core[NEIGHBOR_LANES], whole[NEIGHBOR_LANES];
+                const int64_t here = std::min(NEIGHBOR_LANES, used - first);
+                for (int64_t k = 0; k < NEIGHBOR_LANES; ++k) {
                     const int64_t slot = first + std::min(k, here - 1);
                     std::memcpy(others + RECORD * k, table.data() + RECORD * indices[slot], RECORD * sizeof(float));
                     const bool counted = (k < here) & (flags[slot] != 0), close = counted & (squares[slot] < radius);
@@ -59,7 +56,7 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                     near_count += close;
                 }
                 for (int64_t c = 0; c < 3; ++c)
-                    for (int64_t k = 0; k < LANES; ++k) {
+                    for (int64_t k = 0; k < NEIGHBOR_LANES; ++k) {
                         const float value = others[RECORD * k + c] - own[c];
                         const float near = value * core[k], far = value * whole[k];
                         lanes[SUMS * c][k] += near;
@@ -68,7 +65,7 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
                         lanes[SUMS * c + 3][k] += far * value;
                     }
             }
-            add_lanes<3 * SUMS>(lanes, sums);
+            for (int64_t sum = 0; sum < 3 * SUMS; ++sum) sums[sum] = fold<NEIGHBOR_LANES>(lanes[sum]);
             const float described = far_count > 1 ? 1.0f : 0.0f;
             float* result = out + COLUMNS * row;
             for (int64_t c = 0; c < 3; ++c) {
@@ -85,3 +82,5 @@ KERNEL contrast_f32(const float* colors, const int64_t* index, int64_t index_str
     });
     return 0;
 }
+
+}  // namespace torchreg

@@ -2,7 +2,6 @@
 #include "eigen.hpp"
 
 namespace torchreg {
-namespace {
 
 template <typename T>
 int64_t symmetric_eigen(const T* matrix, int64_t count, T* values, T* vectors, int64_t threads) {
@@ -28,13 +27,10 @@ int64_t symmetric_eigen(const T* matrix, int64_t count, T* values, T* vectors, i
     return 0;
 }
 
-}  // namespace
-}  // namespace torchreg
+// Equals `symmetric_eigen` of geometry/eigen.py: matrices (N, 3, 3), of which the upper triangles are read.
+//
+// Writes values (N, 3), ascending, and vectors (N, 3, 3), as columns.
+KERNELS(symmetric_eigen, (const Real* matrix, int64_t count, Real* values, Real* vectors, int64_t threads),
+        (matrix, count, values, vectors, threads))
 
-// symmetric_eigen of geometry/eigen.py: matrices (N, 3, 3) -> values (N, 3), vectors (N, 3, 3).
-KERNEL symmetric_eigen_f64(const double* matrix, int64_t count, double* values, double* vectors, int64_t threads) {
-    return torchreg::symmetric_eigen(matrix, count, values, vectors, threads);
-}
-KERNEL symmetric_eigen_f32(const float* matrix, int64_t count, float* values, float* vectors, int64_t threads) {
-    return torchreg::symmetric_eigen(matrix, count, values, vectors, threads);
-}
+}  // namespace torchreg

@@ -1,16 +1,13 @@
 // What poses show on clouds, pose by pose: torchreg/verification/evidence.py and the files that it takes terms from.
 //
 // R poses, of G pairs whose samples of at most L points stand side by side; sums over points are in 64 lanes.
-#include "lanes.hpp"
+#include "rigid.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 namespace {
 
 constexpr int64_t FEW = 8;  // poses that a thread takes at a time
-
-inline float along(const float* R, int i, float x, float y, float z) {
-    return R[3 * i] * x + R[3 * i + 1] * y + R[3 * i + 2] * z;
-}
 
 // Places of a row with a partner: `square` below the limit.
 inline void gather_close(const float* square, float limit, int64_t length, std::vector<int32_t>& close) {
@@ -23,7 +20,7 @@ inline void gather_close(const float* square, float limit, int64_t length, std::
 
 // Equals `moved_points` of scans.py: points (3, G, L) of the pairs (R) int64, turned by rotation (R, 3, 3), shifted by
 // translation (R, 3), all float32. Writes moved (3, R, L).
-KERNEL moved_points(const float* points, const int64_t* pair, const float* rotation, const float* translation,
+KERNEL(moved_points, const float* points, const int64_t* pair, const float* rotation, const float* translation,
                     float* moved, int64_t pairs, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, 4 * FEW, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t r = begin; r < end; ++r) {
@@ -31,61 +28,8 @@ KERNEL moved_points(const float* points, const int64_t* pair, const float* rotat
             for (int i = 0; i < 3; ++i) {
                 const float *R = rotation + 9 * r, shift = translation[3 * r + i];
                 float* out = moved + (i * rows + r) * length;
-                for (int64_t j = 0; j < length; ++j) out[j] = along(R, i, x[j], y[j], z[j]) + shift;
+                for (int64_t j = 0; j < length; ++j) out[j] = turned(R, i, x[j], y[j], z[j]) + shift;
             }
-        }
-    });
-    return 0;
-}
-
-// Mark the cells of an `Occupancy` of partners.py that the points (3, P) float32 of G scans reach.
-//
-// offsets (G + 1) int64, where the points of each scan begin; low (3, G), width (G), last (3, G) float32, stride (3, G)
-// and first (G) int64. Writes true into reached (V) bool, which is false before.
-KERNEL mark_reached(const float* points, const int64_t* offsets, const float* low, const float* width,
-                    const float* last, const int64_t* stride, const int64_t* first, uint8_t* reached, int64_t count,
-                    int64_t scans, int64_t cells, int64_t) {
-    std::vector<uint8_t> done(cells);
-    for (int64_t g = 0; g < scans; ++g) {
-        for (int64_t i = offsets[g]; i < offsets[g + 1]; ++i) {
-            int64_t cell = first[g];
-            for (int axis = 0; axis < 3; ++axis) {
-                const float place = std::floor((points[axis * count + i] - low[axis * scans + g]) / width[g]) + 2;
-                cell += int64_t(std::min(place > 0 ? place : 0, last[axis * scans + g])) * stride[axis * scans + g];
-            }
-            if (done[cell]) continue;
-            done[cell] = 1;
-            for (int64_t x = -1; x <= 1; ++x)
-                for (int64_t y = -1; y <= 1; ++y)
-                    std::memset(reached + cell + x * stride[g] + y * stride[scans + g] - 1, 1, 3);
-        }
-    }
-    return 0;
-}
-
-// Equals `near_counts` of partners.py: how many of the points moved (3, R, L) float32, where valid (R, L) bool, lie in
-// reached cells of their scans, pair (R) int64. Cells as above. Writes counts (R) int64.
-KERNEL near_counts(const float* moved, const int64_t* pair, const uint8_t* valid, const float* low, const float* width,
-                   const float* last, const int64_t* stride, const int64_t* first, const uint8_t* reached,
-                   int64_t* counts, int64_t scans, int64_t rows, int64_t length, int64_t threads) {
-    parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
-        std::vector<int32_t> cell(length);
-        for (int64_t r = begin; r < end; ++r) {
-            const int64_t g = pair[r];
-            std::fill(cell.begin(), cell.end(), 0);
-            for (int axis = 0; axis < 3; ++axis) {
-                const float* x = moved + (axis * rows + r) * length;
-                const float from = low[axis * scans + g], w = width[g], most = last[axis * scans + g];
-                const int32_t step = int32_t(stride[axis * scans + g]);
-                for (int64_t i = 0; i < length; ++i) {
-                    const float place = std::floor((x[i] - from) / w) + 2;
-                    cell[i] += int32_t(std::min(place > 0 ? place : 0, most)) * step;
-                }
-            }
-            int64_t total = 0;
-            const uint8_t *here = reached + first[g], *counted = valid + r * length;
-            for (int64_t i = 0; i < length; ++i) total += here[cell[i]] & counted[i];
-            counts[r] = total;
         }
     });
     return 0;
@@ -95,7 +39,7 @@ KERNEL near_counts(const float* moved, const int64_t* pair, const uint8_t* valid
 //
 // which (R) int64, the image of each row, -1 for none; slack (R) float32, meters; viewpoint (3, I), ranges and near (I)
 // float32, seen bool, first and side (I) int64 of the images. Writes counts (2, R) int64: before a surface, and on one.
-KERNEL visible_counts(const float* moved, const uint8_t* valid, const int64_t* which, const float* slack,
+KERNEL(visible_counts, const float* moved, const uint8_t* valid, const int64_t* which, const float* slack,
                       const float* viewpoint, const float* ranges, const uint8_t* seen, const int64_t* first,
                       const int64_t* side, const float* near, int64_t* counts, int64_t images, int64_t rows,
                       int64_t length, int64_t threads) {
@@ -150,14 +94,14 @@ KERNEL visible_counts(const float* moved, const uint8_t* valid, const int64_t* w
 // (3, P) likewise; faced (G, L) and (P) bool. Normals or colors are null on both sides where they are not compared.
 // Writes counts (R) int64 and sums (11, R) float64: closeness, cosines, and of every channel of color the products of
 // both sides, the squares of the one and of the other, each about its mean.
-KERNEL partner_sums(const int64_t* row, const float* square, const float* limit, const int64_t* pair,
+KERNEL(partner_sums, const int64_t* row, const float* square, const float* limit, const int64_t* pair,
                     const float* rotation, const float* normals, const float* other_normals, const uint8_t* faced,
                     const uint8_t* other_faced, const double* colors, const double* other_colors, int64_t* counts,
                     double* sums, int64_t pairs, int64_t points, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> close;
         close.reserve(length);
-        Lanes first(8), second(9);
+        SparseLanes first(8), second(9);
         for (int64_t r = begin; r < end; ++r) {
             const int64_t g = pair[r], *partner = row + r * length;
             gather_close(square + r * length, limit[r], length, close);
@@ -170,8 +114,8 @@ KERNEL partner_sums(const int64_t* row, const float* square, const float* limit,
                 if (normals != nullptr) {
                     const float *R = rotation + 9 * r, *n = normals + g * length + i, *f = other_normals + k;
                     const float x = n[0], y = n[pairs * length], z = n[2 * pairs * length];
-                    const float cosine = along(R, 0, x, y, z) * f[0] + along(R, 1, x, y, z) * f[points] +
-                                         along(R, 2, x, y, z) * f[2 * points];
+                    const float cosine = turned(R, 0, x, y, z) * f[0] + turned(R, 1, x, y, z) * f[points] +
+                                         turned(R, 2, x, y, z) * f[2 * points];
                     sum[1] += double(faced[g * length + i] && other_faced[k] ? cosine : std::abs(cosine));
                 }
                 if (colors != nullptr) {
@@ -206,15 +150,13 @@ KERNEL partner_sums(const int64_t* row, const float* square, const float* limit,
     return 0;
 }
 
-// Equals `_moment_sums` of information.py, of points (3, R, L), meters, with normals (3, R, L) float32, where valid (R, L)
-// bool. Writes products (21, R), centers (3, R) and squares (R), all float64.
 template <typename T>
-static int64_t planes(const T* points, const float* normals, const uint8_t* valid, double* products, double* centers,
+int64_t moment_sums(const T* points, const float* normals, const uint8_t* valid, double* products, double* centers,
                       double* squares, int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int32_t> close;
         close.reserve(length);
-        Lanes means(3), sums(22);
+        SparseLanes means(3), sums(22);
         const int64_t plane = rows * length;
         for (int64_t r = begin; r < end; ++r) {
             const T* p = points + r * length;
@@ -248,26 +190,23 @@ static int64_t planes(const T* points, const float* normals, const uint8_t* vali
     return 0;
 }
 
-KERNEL moment_sums_float(const float* points, const float* normals, const uint8_t* valid, double* products,
-                               double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
-    return planes(points, normals, valid, products, centers, squares, rows, length, threads);
-}
-
-KERNEL moment_sums_double(const double* points, const float* normals, const uint8_t* valid, double* products,
-                                double* centers, double* squares, int64_t rows, int64_t length, int64_t threads) {
-    return planes(points, normals, valid, products, centers, squares, rows, length, threads);
-}
+// Equals `_moment_sums` of information.py, of points (3, R, L), meters, with normals (3, R, L) float32, where valid (R, L)
+// bool. Writes products (21, R), centers (3, R) and squares (R), all float64.
+KERNELS(moment_sums,
+        (const Real* points, const float* normals, const uint8_t* valid, double* products, double* centers,
+         double* squares, int64_t rows, int64_t length, int64_t threads),
+        (points, normals, valid, products, centers, squares, rows, length, threads))
 
 // Equals `_summed` of concordance.py.
 //
 // own (G, S, D) float32, features of every third point of the samples; other (P, D), of all points of the other scans;
 // row (R, L), square (R, L), limit (R), pair (R) as in `partner_sums`. Writes counts (R) int64 and sums (4, R, D)
 // float64: squared differences, squares of both, own and other, over the partners of every third point.
-KERNEL feature_sums(const float* own, const float* other, const int64_t* row, const float* square, const float* limit,
+KERNEL(feature_sums, const float* own, const float* other, const int64_t* row, const float* square, const float* limit,
                     const int64_t* pair, int64_t* counts, double* sums, int64_t thin, int64_t stride, int64_t width,
                     int64_t rows, int64_t length, int64_t threads) {
     parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
-        Lanes lanes(4 * width);
+        SparseLanes lanes(4 * width);
         for (int64_t r = begin; r < end; ++r) {
             lanes.clear();
             int64_t count = 0;

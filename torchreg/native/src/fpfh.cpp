@@ -85,25 +85,24 @@ void row_histogram(const float* table, const float* edges, const Slots& slots, i
 }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // simplified_histograms of descriptors/fpfh.py in float32: points and normals (P, 3), edges (5,) of f1, neighborhoods
 // (P, K) -> out (P, 33).
-KERNEL simplified_histograms_f32(const float* points, const float* normals, const float* edges, const int64_t* index,
-                                 int64_t index_stride, const uint8_t* valid, int64_t valid_stride, int64_t count,
-                                 int64_t width, float* out, int64_t threads) {
+KERNEL(simplified_histograms, const float* points, const float* normals, const float* edges, const int64_t* index,
+                             int64_t index_stride, const uint8_t* valid, int64_t valid_stride, int64_t count,
+                             int64_t width, float* out, int64_t threads) {
     std::vector<float> table(PAIR_RECORD * count);
     for (int64_t row = 0; row < count; ++row)
         for (int64_t axis = 0; axis < 3; ++axis) {
             table[PAIR_RECORD * row + axis] = points[3 * row + axis];
             table[PAIR_RECORD * row + 3 + axis] = normals[3 * row + axis];
         }
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t row = begin; row < end; ++row)
             row_histogram(table.data(), edges, slots, row, out + ANGLES * BINS * row);
     });
     return 0;
 }
+
+}  // namespace torchreg

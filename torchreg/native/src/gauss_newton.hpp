@@ -1,35 +1,16 @@
 // What kinds of ICP share: sums over blocks of 256 rows, the products of (J, r), and the update that follows from them.
 #pragma once
 
-#include "common.hpp"
+#include "rigid.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 
 constexpr int64_t BLOCK = 256;
 constexpr int64_t PRODUCTS = 28;  // the upper triangle of 7 x 7
 
-// The sum of a block, as `refinement/blocks.py` has it: the later half is added to the earlier one. Overwrites them.
-inline double halved(double* values) {
-    for (int64_t half = BLOCK / 2; half > 0; half /= 2)
-        for (int64_t i = 0; i < half; ++i) values[i] = values[i] + values[i + half];
-    return values[0];
-}
-
-// The sums of a pair's blocks (blocks, channels) into `out`, neighbors first. Overwrites them.
-inline void sum_blocks(double* partial, int64_t blocks, int64_t channels, double* out) {
-    while (blocks > 1) {
-        const int64_t half = blocks / 2;
-        for (int64_t i = 0; i < half; ++i)
-            for (int64_t c = 0; c < channels; ++c)
-                partial[i * channels + c] = partial[2 * i * channels + c] + partial[(2 * i + 1) * channels + c];
-        if (blocks % 2) std::copy_n(partial + (blocks - 1) * channels, channels, partial + half * channels);
-        blocks = half + blocks % 2;
-    }
-    std::copy_n(partial, channels, out);
-}
-
-// `jacobian` and `products`, summed over a block: rows p (3, 256) and d (3, 256), residuals and weights (256); adds
-// nothing, writes sums (28).
+// Equals `products` of `jacobian`, summed over a block: rows p (3, 256) and d (3, 256), residuals and weights (256).
+// Writes sums (28).
 inline void block_products(const double (*p)[BLOCK], const double (*d)[BLOCK], const double* residual,
                            const double* weight, double* sums) {
     double J[7][BLOCK], weighted[BLOCK], product[BLOCK];
@@ -44,18 +25,13 @@ inline void block_products(const double (*p)[BLOCK], const double (*d)[BLOCK], c
         for (int64_t r = 0; r < BLOCK; ++r) weighted[r] = J[i][r] * weight[r];
         for (int j = i; j < 7; ++j) {
             for (int64_t r = 0; r < BLOCK; ++r) product[r] = J[j][r] * weighted[r];
-            sums[place++] = halved(product);
+            sums[place++] = fold<BLOCK>(product);
         }
     }
 }
 
 // Equals `square_root` of geometry/numerics/roots.py.
 inline double square_root(double x) { return x > 0 ? x * (1 / std::sqrt(x)) : 0.0; }
-
-// R x of a matrix (3, 3) and a vector, as `apply_rotation` has it.
-inline void rotated(const double* R, const double* x, double* out) {
-    for (int i = 0; i < 3; ++i) out[i] = (R[3 * i] * x[0] + R[3 * i + 1] * x[1]) + R[3 * i + 2] * x[2];
-}
 
 // Equals `rotation_zyx`, which calls the same sine and cosine.
 inline void rotation_zyx(double a, double b, double c, double* R) {

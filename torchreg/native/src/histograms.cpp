@@ -1,5 +1,6 @@
 // Histograms of neighbors, summed by the inverse squares of their distances.
 #include "slots.hpp"
+#include "sums.hpp"
 
 // torch's embedding_bag, which is the definition, adds by fused multiply-adds: the one place where they are wanted.
 #if defined(__AVX2__) && defined(__GNUC__)
@@ -46,21 +47,18 @@ void add_all(Weighted& near, int64_t pitch, float* sums) {
 }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // add_weighted_neighbors of descriptors/histograms.py in float32: histograms (P, D) of D / bins blocks, neighborhoods
 // (P, K) with squared distances; `least` stands in for smaller ones -> out (P, D).
-KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index, int64_t index_stride,
-                                  const uint8_t* valid, int64_t valid_stride, const float* square,
-                                  int64_t square_stride, int64_t count, int64_t width, int64_t columns, int64_t bins,
-                                  int64_t keep_own, double least, float* out, int64_t threads) {
+KERNEL(add_weighted_neighbors, const float* histograms, const int64_t* index, int64_t index_stride,
+                              const uint8_t* valid, int64_t valid_stride, const float* square, int64_t square_stride,
+                              int64_t count, int64_t width, int64_t columns, int64_t bins, int64_t keep_own,
+                              double least, float* out, int64_t threads) {
     const int64_t pitch = (columns + STEP - 1) / STEP * STEP;
     std::vector<float> table(pitch * count);
     for (int64_t row = 0; row < count; ++row)
         std::memcpy(&table[pitch * row], histograms + columns * row, columns * sizeof(float));
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     const float smallest = static_cast<float>(least);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<float> sums(pitch);
@@ -82,9 +80,9 @@ KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index,
                 add_all(near, pitch, sums.data());
             }
             for (int64_t block = 0; block < columns; block += bins) {
-                double sum = 0.0;
-                for (int64_t bin = block; bin < block + bins; ++bin) sum += static_cast<double>(sums[bin]);
-                const float total = static_cast<float>(sum);
+                float lanes[NEIGHBOR_LANES] = {};
+                for (int64_t bin = 0; bin < bins; ++bin) lanes[bin % NEIGHBOR_LANES] += sums[block + bin];
+                const float total = fold<NEIGHBOR_LANES>(lanes);
                 const float scale = total > 0.0f ? (1.0f / total) * 100.0f : 0.0f;
                 for (int64_t bin = block; bin < block + bins; ++bin) {
                     const float result = sums[bin] * scale;
@@ -95,3 +93,5 @@ KERNEL add_weighted_neighbors_f32(const float* histograms, const int64_t* index,
     });
     return 0;
 }
+
+}  // namespace torchreg

@@ -4,6 +4,7 @@
 #include "tree.hpp"
 
 namespace torchreg {
+namespace {
 
 constexpr double MARGIN = 1.5;       // times the largest distance, within which is searched: bounds what is beyond it
 constexpr double SLACK = 1 - 1e-12;  // a bound that is closer than rounding is not relied on
@@ -103,7 +104,8 @@ struct Pair {
         parallel(threads, blocks, 2, [&](int64_t begin, int64_t end, int64_t) {
             for (int64_t block = begin; block < end; ++block) sum_block(block, R, t);
         });
-        sum_blocks(partial.data(), blocks, CHANNELS, sums);
+        fold_rows(partial.data(), blocks, CHANNELS);
+        std::copy_n(partial.data(), CHANNELS, sums);
         fitness = sums[PRODUCTS] / double(length);
         rmse = square_root(sums[PRODUCTS + 1] / std::max(sums[PRODUCTS], 1.0));
     }
@@ -126,8 +128,8 @@ struct Pair {
         }
         double* out = partial.data() + block * CHANNELS;
         block_products(p, n, residual, inside, out);
-        out[PRODUCTS] = halved(inside);
-        out[PRODUCTS + 1] = halved(square);
+        out[PRODUCTS] = fold<BLOCK>(inside);
+        out[PRODUCTS + 1] = fold<BLOCK>(square);
     }
 };
 
@@ -186,19 +188,18 @@ inline void iterate(Pair& pair, int64_t most, double least_fitness, double least
     }
 }
 
-}  // namespace torchreg
+}  // namespace
 
 // Point-to-plane ICP of B pairs with weights of 1: `iterate` of refinement/loop.py with `point_to_plane(least_squares)`.
 // source (3, n, 256) in blocks of pairs, first_block (B + 1), lengths (B) of the sources; trees (B, 4) are addresses of
 // planes, order and boxes, and numbers of points; values (6, N): targets' points and normals, first (B) their first rows;
 // center, limits, most updates, least changes (B). Writes rotation (B, 3, 3), translation (B, 3) from those it starts at,
 // fitness, rmse, updates, outcome (B).
-KERNEL icp_point_to_plane(const double* source, int64_t n, const int64_t* first_block, const int64_t* lengths,
+KERNEL(icp_point_to_plane, const double* source, int64_t n, const int64_t* first_block, const int64_t* lengths,
                           int64_t pairs, const int64_t* trees, const double* values, int64_t total,
                           const int64_t* first, const double* center, const double* limits, const int64_t* most,
                           const double* least_fitness, const double* least_rmse, double* rotation, double* translation,
                           double* fitness, double* rmse, int64_t* updates, int64_t* outcome, int64_t threads) {
-    using namespace torchreg;
     // whole pairs are shared out among threads, or where they are few and large, the blocks of each
     const bool together = pairs >= threads || first_block[pairs] < 80 * pairs;
     parallel(together ? threads : 1, pairs, 1, [&](int64_t b, int64_t, int64_t) {
@@ -219,17 +220,16 @@ KERNEL icp_point_to_plane(const double* source, int64_t n, const int64_t* first_
 }
 
 // The numbers of float64 that the state of a block's searches takes.
-KERNEL icp_known(int64_t) { return sizeof(torchreg::Known) / sizeof(double); }
+KERNEL(search_state_size, int64_t) { return sizeof(Known) / sizeof(double); }
 
 // Equals `Correspondence.move`: the correspondences of n blocks under the poses of B pairs. source (3, n, 256), pair (n)
 // and rows (n) of every block; trees, values (A, N), first and limits as in `icp_point_to_plane`; rotation (B, 3, 3),
-// translation (B, 3); known (n, icp_known) is the state of the searches, which is `fresh` at first. Writes moved
+// translation (B, 3); known (n, search_state_size) is the state of the searches, which is `fresh` at first. Writes moved
 // (3, n, 256), inside and square (n, 256), and partner (A, n, 256) where a row has one.
-KERNEL icp_move(const double* source, int64_t n, const int64_t* pair, const int64_t* rows, const int64_t* trees,
+KERNEL(move_blocks, const double* source, int64_t n, const int64_t* pair, const int64_t* rows, const int64_t* trees,
                 const double* values, int64_t columns, int64_t total, const int64_t* first, const double* limits,
                 const double* rotation, const double* translation, double* known, int64_t fresh, double* moved,
                 double* partner, double* square, bool* inside, int64_t threads) {
-    using namespace torchreg;
     parallel(threads, n, 2, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t block = begin; block < end; ++block) {
             const int64_t b = pair[block], at = block * BLOCK;
@@ -251,3 +251,5 @@ KERNEL icp_move(const double* source, int64_t n, const int64_t* pair, const int6
     });
     return 0;
 }
+
+}  // namespace torchreg

@@ -51,9 +51,9 @@ void squared_lengths(const double* points, const int64_t* first, const int64_t* 
 // float64, ascending, positive. Writes counts (1 + S, E + 1) int64, which are zero before: how many ratios of squared
 // lengths, target over source, fall between the edges, then with the targets' lengths rolled by S even steps; and
 // longs (1 + S) int64, how many are compared: those whose squares are both above `least`.
-KERNEL length_ratio_counts(const double* source, const double* target, const int64_t* first, const int64_t* second,
-                           const double* edges, int64_t* counts, int64_t* longs, int64_t lengths, int64_t edge_count,
-                           int64_t steps, double least, int64_t) {
+KERNEL(length_ratio_counts, const double* source, const double* target, const int64_t* first, const int64_t* second,
+                            const double* edges, int64_t* counts, int64_t* longs, int64_t lengths, int64_t edge_count,
+                            int64_t steps, double least, int64_t) {
     std::vector<double> p(lengths), q(lengths);
     squared_lengths(source, first, second, lengths, p.data());
     squared_lengths(target, first, second, lengths, q.data());

@@ -1,7 +1,7 @@
 // Surface normals: the direction in which a neighborhood spreads least, turned to where it was seen from.
 #include "eigen.hpp"
-#include "interleaved.hpp"
 #include "slots.hpp"
+#include "sums.hpp"
 
 namespace torchreg {
 namespace {
@@ -13,19 +13,19 @@ int64_t covariance(const T* table, const Slots& slots, int64_t row, Matrices<dou
     const uint8_t* flags = slots.valid_of(row);
     const T* own = table + RECORD * row;
     const int64_t used = slots.used(row);
-    alignas(64) double sums[9][LANES] = {};  // x y z xx xy xz yy yz zz
+    alignas(64) double sums[9][NEIGHBOR_LANES] = {};  // x y z xx xy xz yy yz zz
     int64_t count = 0;
-    for (int64_t first = 0; first < used; first += LANES) {
-        alignas(64) T others[RECORD * LANES], weight[LANES];
-        const int64_t here = std::min(LANES, used - first);
-        for (int64_t k = 0; k < LANES; ++k) {
+    for (int64_t first = 0; first < used; first += NEIGHBOR_LANES) {
+        alignas(64) T others[RECORD * NEIGHBOR_LANES], weight[NEIGHBOR_LANES];
+        const int64_t here = std::min(NEIGHBOR_LANES, used - first);
+        for (int64_t k = 0; k < NEIGHBOR_LANES; ++k) {
             const int64_t slot = first + std::min(k, here - 1);
             std::memcpy(others + RECORD * k, table + RECORD * indices[slot], RECORD * sizeof(T));
             const bool counted = (k < here) & (flags[slot] != 0);
             weight[k] = static_cast<T>(counted);
             count += counted;
         }
-        for (int64_t k = 0; k < LANES; ++k) {
+        for (int64_t k = 0; k < NEIGHBOR_LANES; ++k) {
             const T* other = others + RECORD * k;
             const double w = weight[k];
             const double x = static_cast<double>(other[0] - own[0]) * w;
@@ -44,7 +44,7 @@ int64_t covariance(const T* table, const Slots& slots, int64_t row, Matrices<dou
     }
     const double share = 1.0 / static_cast<double>(std::max<int64_t>(count, 1));
     double total[9];
-    add_lanes<9>(sums, total);
+    for (int64_t sum = 0; sum < 9; ++sum) total[sum] = fold<NEIGHBOR_LANES>(sums[sum]);
     const double mx = total[0] * share, my = total[1] * share, mz = total[2] * share;
     out.xx[i] = total[3] * share - mx * mx;
     out.xy[i] = total[4] * share - mx * my;
@@ -55,8 +55,10 @@ int64_t covariance(const T* table, const Slots& slots, int64_t row, Matrices<dou
     return count;
 }
 
+}  // namespace
+
 template <typename T>
-int64_t normals(const T* points, const double* towards, const Slots& slots, int64_t count, T* out, int64_t threads) {
+int64_t normals(const T* points, const double* towards, Slots slots, int64_t count, T* out, int64_t threads) {
     const std::vector<T> table = records(points, count);
     parallel(threads, count, MATRICES, [&](int64_t begin, int64_t end, int64_t) {
         Matrices<double> a{};
@@ -87,20 +89,13 @@ int64_t normals(const T* points, const double* towards, const Slots& slots, int6
     return 0;
 }
 
-}  // namespace
+// Equals `_oriented` of preprocess/normals.py.
+//
+// points (P, 3), meters; towards (P, 3) float64, from every point to where its normal is turned; neighborhoods (P, K) as
+// `Slots`. Writes out (P, 3).
+KERNELS(normals,
+        (const Real* points, const double* towards, const int64_t* index, int64_t index_stride, const uint8_t* valid,
+         int64_t valid_stride, int64_t count, int64_t width, Real* out, int64_t threads),
+        (points, towards, Slots{index, index_stride, valid, valid_stride, width, count}, count, out, threads))
+
 }  // namespace torchreg
-
-using namespace torchreg;
-
-// _oriented of preprocess/normals.py: points (P, 3), towards (P, 3) float64 from every point to where its normal is
-// turned, neighborhoods (P, K) -> out (P, 3).
-KERNEL normals_f32(const float* points, const double* towards, const int64_t* index, int64_t index_stride,
-                   const uint8_t* valid, int64_t valid_stride, int64_t count, int64_t width, float* out,
-                   int64_t threads) {
-    return normals(points, towards, Slots{index, index_stride, valid, valid_stride, width}, count, out, threads);
-}
-KERNEL normals_f64(const double* points, const double* towards, const int64_t* index, int64_t index_stride,
-                   const uint8_t* valid, int64_t valid_stride, int64_t count, int64_t width, double* out,
-                   int64_t threads) {
-    return normals(points, towards, Slots{index, index_stride, valid, valid_stride, width}, count, out, threads);
-}

@@ -1,4 +1,5 @@
-// The nearest points of scans within a limit: torchreg/verification/partner_grid.py.
+// The nearest points of scans within a limit, and cells that tell where none is: torchreg/verification/partner_grid.py and
+// partners.py.
 //
 // A scan lies in a grid of cells somewhat wider than the limit, with two empty ones around it, so that all points within
 // the limit of a query lie in the 27 cells around its own. Cells along z follow each other, and so do their points:
@@ -8,6 +9,7 @@
 namespace torchreg {
 namespace {
 
+constexpr int64_t FEW = 8;      // poses that a thread takes at a time
 constexpr float MARGIN = 2;     // empty cells around a scan
 constexpr float SLACK = 4e-3f;  // of a cell: more than rounding moves a point in a grid of 4,096 cells
 
@@ -34,6 +36,12 @@ struct Grid {
     }
 };
 
+// Mark a cell and the 26 around it; those along z follow each other.
+inline void mark_around(uint8_t* cell, int64_t stride_x, int64_t stride_y) {
+    for (int64_t x = -1; x <= 1; ++x)
+        for (int64_t y = -1; y <= 1; ++y) std::memset(cell + x * stride_x + y * stride_y - 1, 1, 3);
+}
+
 struct Column {
     float away;  // squared meters at least to what it holds
     int32_t begin, end;
@@ -59,9 +67,9 @@ inline void compare(const Entry* entry, const Entry* end, float x, float y, floa
 // points (3, P) float32, meters, scan by scan; offsets (G + 1) int64. low (G, 3), width (G) and last (G, 3) float32 and
 // first (G) int64 are the grids. Writes entries (P, 4) int32, x, y, z and row of every point, cell by cell; starts
 // (V + 1) int32, where the entries of each of all V cells begin; reached (V) bool. Both have to be zero before.
-KERNEL sort_into_cells(const float* points, const int64_t* offsets, const float* low, const float* width,
-                       const float* last, const int64_t* first, int32_t* entries, int32_t* starts, uint8_t* reached,
-                       int64_t count, int64_t scans, int64_t cells, int64_t) {
+KERNEL(sort_into_cells, const float* points, const int64_t* offsets, const float* low, const float* width,
+                        const float* last, const int64_t* first, int32_t* entries, int32_t* starts, uint8_t* reached,
+                        int64_t count, int64_t scans, int64_t cells, int64_t) {
     std::vector<int64_t> own(count);
     for (int64_t g = 0; g < scans; ++g) {
         const Grid grid(low, width, last, first, g);
@@ -71,9 +79,7 @@ KERNEL sort_into_cells(const float* points, const int64_t* offsets, const float*
                                            grid.place(points[2 * count + i], 2, inverse));
             own[i] = cell;
             if (starts[cell + 1]++ > 0) continue;  // a cell that is marked already
-            for (int64_t x = -1; x <= 1; ++x)
-                for (int64_t y = -1; y <= 1; ++y)
-                    std::memset(reached + cell + x * grid.stride_x + y * grid.stride_y - 1, 1, 3);
+            mark_around(reached + cell, grid.stride_x, grid.stride_y);
         }
     }
     for (int64_t c = 0; c < cells; ++c) starts[c + 1] += starts[c];
@@ -88,10 +94,10 @@ KERNEL sort_into_cells(const float* points, const int64_t* offsets, const float*
 //
 // moved (3, R, L) float32, meters; pair (R) int64; valid (R, L) bool; limit (R) float32, squared meters; the grid as
 // above. Writes row (R, L) int64, 0 where there is no point within the limit, and square (R, L), infinite there.
-KERNEL nearest_in_cells(const float* moved, const int64_t* pair, const uint8_t* valid, const float* limit,
-                        const float* low, const float* width, const float* last, const int64_t* first,
-                        const int32_t* entries, const int32_t* starts, const uint8_t* reached, int64_t* row,
-                        float* square, int64_t rows, int64_t length, int64_t threads) {
+KERNEL(nearest_in_cells, const float* moved, const int64_t* pair, const uint8_t* valid, const float* limit,
+                         const float* low, const float* width, const float* last, const int64_t* first,
+                         const int32_t* entries, const int32_t* starts, const uint8_t* reached, int64_t* row,
+                         float* square, int64_t rows, int64_t length, int64_t threads) {
     const Entry* all = reinterpret_cast<const Entry*>(entries);
     const int64_t grain = std::max<int64_t>(1, 2048 / std::max<int64_t>(1, length));
     parallel(threads, rows, grain, [&](int64_t begin, int64_t end, int64_t) {
@@ -135,6 +141,57 @@ KERNEL nearest_in_cells(const float* moved, const int64_t* pair, const uint8_t* 
                 to[i] = best.row;
                 squares[i] = best.square;
             }
+        }
+    });
+    return 0;
+}
+
+// Equals the loop of `occupancy` of partners.py: marks the cells that the points (3, P) float32 of G scans reach.
+//
+// offsets (G + 1) int64, where the points of each scan begin; low (3, G), width (G), last (3, G) float32, stride (3, G)
+// and first (G) int64. Writes true into reached (V) bool, which is false before.
+KERNEL(mark_reached, const float* points, const int64_t* offsets, const float* low, const float* width,
+                    const float* last, const int64_t* stride, const int64_t* first, uint8_t* reached, int64_t count,
+                    int64_t scans, int64_t cells, int64_t) {
+    std::vector<uint8_t> done(cells);
+    for (int64_t g = 0; g < scans; ++g) {
+        for (int64_t i = offsets[g]; i < offsets[g + 1]; ++i) {
+            int64_t cell = first[g];
+            for (int axis = 0; axis < 3; ++axis) {
+                const float place = std::floor((points[axis * count + i] - low[axis * scans + g]) / width[g]) + 2;
+                cell += int64_t(std::min(place > 0 ? place : 0, last[axis * scans + g])) * stride[axis * scans + g];
+            }
+            if (done[cell]) continue;
+            done[cell] = 1;
+            mark_around(reached + cell, stride[g], stride[scans + g]);
+        }
+    }
+    return 0;
+}
+
+// Equals `near_counts` of partners.py: how many of the points moved (3, R, L) float32, where valid (R, L) bool, lie in
+// reached cells of their scans, pair (R) int64. Cells as above. Writes counts (R) int64.
+KERNEL(near_counts, const float* moved, const int64_t* pair, const uint8_t* valid, const float* low, const float* width,
+                   const float* last, const int64_t* stride, const int64_t* first, const uint8_t* reached,
+                   int64_t* counts, int64_t scans, int64_t rows, int64_t length, int64_t threads) {
+    parallel(threads, rows, FEW, [&](int64_t begin, int64_t end, int64_t) {
+        std::vector<int32_t> cell(length);
+        for (int64_t r = begin; r < end; ++r) {
+            const int64_t g = pair[r];
+            std::fill(cell.begin(), cell.end(), 0);
+            for (int axis = 0; axis < 3; ++axis) {
+                const float* x = moved + (axis * rows + r) * length;
+                const float from = low[axis * scans + g], w = width[g], most = last[axis * scans + g];
+                const int32_t step = int32_t(stride[axis * scans + g]);
+                for (int64_t i = 0; i < length; ++i) {
+                    const float place = std::floor((x[i] - from) / w) + 2;
+                    cell[i] += int32_t(std::min(place > 0 ? place : 0, most)) * step;
+                }
+            }
+            int64_t total = 0;
+            const uint8_t *here = reached + first[g], *counted = valid + r * length;
+            for (int64_t i = 0; i < length; ++i) total += here[cell[i]] & counted[i];
+            counts[r] = total;
         }
     });
     return 0;

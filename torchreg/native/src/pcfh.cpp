@@ -37,18 +37,15 @@ int64_t vote(const float* near, const float* query, int64_t place, bool weighted
 }
 
 }  // namespace
-}  // namespace torchreg
-
-using namespace torchreg;
 
 // _own_histograms of descriptors/pcfh.py in float32: values (P, 3) hue, saturation and value, places (C,) of the
 // channels among them, whether saturation weighs votes on hue, neighborhoods (P, K), `least` neighbors that are enough
 // -> out (P, C x bins), enough (P,) bool.
-KERNEL color_histograms_f32(const float* values, const int64_t* places, int64_t channels, int64_t weighted,
-                            const int64_t* index, int64_t index_stride, const uint8_t* valid, int64_t valid_stride,
-                            int64_t count, int64_t width, int64_t bins, int64_t least, float* out, uint8_t* enough,
-                            int64_t threads) {
-    const Slots slots{index, index_stride, valid, valid_stride, width};
+KERNEL(color_histograms, const float* values, const int64_t* places, int64_t channels, int64_t weighted,
+                        const int64_t* index, int64_t index_stride, const uint8_t* valid, int64_t valid_stride,
+                        int64_t count, int64_t width, int64_t bins, int64_t least, float* out, uint8_t* enough,
+                        int64_t threads) {
+    const Slots slots{index, index_stride, valid, valid_stride, width, count};
     const std::vector<float> table = records(values, count);
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         alignas(64) float near[RECORD * (BLOCK + 1)];
@@ -84,3 +81,5 @@ KERNEL color_histograms_f32(const float* values, const int64_t* places, int64_t 
     });
     return 0;
 }
+
+}  // namespace torchreg

@@ -2,6 +2,7 @@
 #include "tree.hpp"
 
 namespace torchreg {
+namespace {
 
 template <typename T>
 struct Candidate {
@@ -193,8 +194,10 @@ void search_cloud(const T* points, int64_t n, int64_t begin, T limit, int64_t sl
     });
 }
 
+}  // namespace
+
 template <typename T>
-void search(const T* points, const int64_t* offsets, const T* limits, int64_t clouds, int64_t slots, int64_t* index,
+int64_t search_clouds(const T* points, const int64_t* offsets, const T* limits, int64_t clouds, int64_t slots, int64_t* index,
             bool* valid, T* squares, int64_t threads) {
     const int64_t total = offsets[clouds];
     const bool together = clouds >= threads && total / std::max<int64_t>(1, clouds) < 20000;
@@ -204,10 +207,27 @@ void search(const T* points, const int64_t* offsets, const T* limits, int64_t cl
         search_cloud(points + 3 * begin, n, begin, limits[cloud], slots, index + begin * slots, valid + begin * slots,
                      squares + begin * slots, together ? 1 : threads);
     });
+    return 0;
 }
 
+// Equals `search_cells` of neighborhoods/cells.py.
+//
+// points (P, 3), meters, of B clouds at offsets (B + 1) int64; limits (B), squared radii; K slots. Writes index (P, K)
+// int64, valid (P, K) bool and squares (P, K).
+KERNELS(search_clouds,
+        (const Real* points, const int64_t* offsets, const Real* limits, int64_t clouds, int64_t slots, int64_t* index,
+         bool* valid, Real* squares, int64_t threads),
+        (points, offsets, limits, clouds, slots, index, valid, squares, threads))
+
+// The number of boxes of a tree over n points.
+KERNEL(tree_boxes, int64_t n, int64_t) { return (int64_t(2) << tree_depth(n)) - 1; }
+
+// A tree over points (N, 3), meters. Writes planes (3, N), order (N) int32 and boxes (tree_boxes(N), 6).
+KERNELS(build_tree, (const Real* points, int64_t n, Real* planes, int32_t* order, Real* boxes, int64_t threads),
+        (points, n, planes, order, boxes, threads))
+
 template <typename T>
-void nearest(const T* planes, const int32_t* order, const T* boxes, int64_t n, const T* query, int64_t queries,
+int64_t nearest_in_tree(const T* planes, const int32_t* order, const T* boxes, int64_t n, const T* query, int64_t queries,
              int64_t count, double limit, int64_t* rows, T* squares, int64_t threads) {
     const Tree<T> tree(planes, order, boxes, n);
     parallel(threads, queries, 256, [&](int64_t first, int64_t last, int64_t) {
@@ -222,39 +242,15 @@ void nearest(const T* planes, const int32_t* order, const T* boxes, int64_t n, c
             }
         }
     });
+    return 0;
 }
 
+// The nearest points of a tree, as `build_tree` writes it, with d^2 < limit: at most 64 of every query (Q, 3).
+//
+// Writes rows (Q, count) int64, -1 where there are none, and squares (Q, count), infinite there.
+KERNELS(nearest_in_tree,
+        (const Real* planes, const int32_t* order, const Real* boxes, int64_t n, const Real* query, int64_t queries,
+         int64_t count, double limit, int64_t* rows, Real* squares, int64_t threads),
+        (planes, order, boxes, n, query, queries, count, limit, rows, squares, threads))
+
 }  // namespace torchreg
-
-// `search_cells`: points (P, 3), offsets (B + 1), limits (B) squared radii, slots K; writes index, valid, squares (P, K).
-#define SEARCH(name, T)                                                                                               \
-    KERNEL name(const T* points, const int64_t* offsets, const T* limits, int64_t clouds, int64_t slots,              \
-                int64_t* index, bool* valid, T* squares, int64_t threads) {                                           \
-        torchreg::search(points, offsets, limits, clouds, slots, index, valid, squares, threads);                     \
-        return 0;                                                                                                     \
-    }
-SEARCH(search_float32, float)
-SEARCH(search_float64, double)
-
-// The number of boxes of a tree over n points.
-KERNEL tree_boxes(int64_t n, int64_t) { return (int64_t(2) << torchreg::tree_depth(n)) - 1; }
-
-// Build a tree over points (n, 3): writes planes (3, n), order (n) int32, boxes (tree_boxes(n), 6).
-#define BUILD(name, T)                                                                                                \
-    KERNEL name(const T* points, int64_t n, T* planes, int32_t* order, T* boxes, int64_t threads) {                   \
-        torchreg::build_tree(points, n, planes, order, boxes, threads);                                               \
-        return 0;                                                                                                     \
-    }
-BUILD(tree_build_float32, float)
-BUILD(tree_build_float64, double)
-
-// The `count` (at most 64) nearest of every query (Q, 3) with d^2 < limit: rows (Q, count), -1 where there are none, and
-// squared distances, infinite there.
-#define NEAREST(name, T)                                                                                              \
-    KERNEL name(const T* planes, const int32_t* order, const T* boxes, int64_t n, const T* query, int64_t queries,    \
-                int64_t count, double limit, int64_t* rows, T* squares, int64_t threads) {                            \
-        torchreg::nearest(planes, order, boxes, n, query, queries, count, limit, rows, squares, threads);             \
-        return 0;                                                                                                     \
-    }
-NEAREST(tree_nearest_float32, float)
-NEAREST(tree_nearest_float64, double)

@@ -2,6 +2,7 @@
 #include "gauss_newton.hpp"
 
 namespace torchreg {
+namespace {
 
 // The value at place k of `values` (count) in ascending order; no NaN. Overwrites them. Only values between two of a
 // sample need to be put in order, as the one at place k is nearly always among them.
@@ -33,27 +34,28 @@ inline double selected(std::vector<double>& values, int64_t count, int64_t k) {
     return values[k];
 }
 
-}  // namespace torchreg
+}  // namespace
 
 // Equals `SurfelPairs.residuals` without shades: moved (3, n, 256), partner (A, n, 256) with normal and variance from
 // column 3 on, extra (E, n, 256) normal and variance of the source, rotation (B, 3, 3), pair (n), inside (n, 256); least
-// cosine between normals. Writes distance, variance (n, 256), turned (3, n, 256), alike (n, 256).
-KERNEL surfel_residuals(const double* moved, const double* partner, const double* extra, const double* rotation,
+// cosine between normals. Writes distance, variance (n, 256), normals (3, n, 256) of the
+// source, turned, and alike (n, 256).
+KERNEL(surfel_residuals, const double* moved, const double* partner, const double* extra, const double* rotation,
                         const int64_t* pair, const bool* inside, int64_t n, double facing, double* distance,
-                        double* variance, double* turned, bool* alike, int64_t threads) {
-    const int64_t stride = n * torchreg::BLOCK;
-    torchreg::parallel(threads, n, 16, [&](int64_t begin, int64_t end, int64_t) {
+                        double* variance, double* normals, bool* alike, int64_t threads) {
+    const int64_t stride = n * BLOCK;
+    parallel(threads, n, 16, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t block = begin; block < end; ++block) {
             const double* R = rotation + 9 * pair[block];
-            const int64_t from = block * torchreg::BLOCK, to = from + torchreg::BLOCK;
+            const int64_t from = block * BLOCK, to = from + BLOCK;
             for (int64_t r = from; r < to; ++r) {
                 double along[3], facings[3];
                 const double own[3] = {extra[r], extra[stride + r], extra[2 * stride + r]};
                 for (int i = 0; i < 3; ++i) {
                     const double normal = partner[(3 + i) * stride + r];
                     along[i] = (moved[i * stride + r] - partner[i * stride + r]) * normal;
-                    const double there = (R[3 * i] * own[0] + R[3 * i + 1] * own[1]) + R[3 * i + 2] * own[2];
-                    turned[i * stride + r] = there;
+                    const double there = turned(R, i, own[0], own[1], own[2]);
+                    normals[i * stride + r] = there;
                     facings[i] = there * normal;
                 }
                 distance[r] = (along[0] + along[1]) + along[2];
@@ -67,10 +69,10 @@ KERNEL surfel_residuals(const double* moved, const double* partner, const double
 }
 
 // Equals `medians`: values and kept (n, 256), first_block (B + 1). Writes B medians, 0 where a pair has none.
-KERNEL block_medians(const double* values, const bool* kept, const int64_t* first_block, int64_t pairs, double* out,
+KERNEL(block_medians, const double* values, const bool* kept, const int64_t* first_block, int64_t pairs, double* out,
                      int64_t threads) {
-    torchreg::parallel(threads, pairs, 1, [&](int64_t b, int64_t, int64_t) {
-        const int64_t begin = first_block[b] * torchreg::BLOCK, end = first_block[b + 1] * torchreg::BLOCK;
+    parallel(threads, pairs, 1, [&](int64_t b, int64_t, int64_t) {
+        const int64_t begin = first_block[b] * BLOCK, end = first_block[b + 1] * BLOCK;
         std::vector<double> own(end - begin);
         int64_t count = 0;
         bool numbers = true;
@@ -82,17 +84,16 @@ KERNEL block_medians(const double* values, const bool* kept, const int64_t* firs
         if (count == 0)
             out[b] = 0.0;
         else
-            out[b] = numbers ? torchreg::selected(own, count, (count - 1) / 2) : std::numeric_limits<double>::quiet_NaN();
+            out[b] = numbers ? selected(own, count, (count - 1) / 2) : std::numeric_limits<double>::quiet_NaN();
     });
     return 0;
 }
 
 // Equals `normal_equations` without shades: moved and normal (3, n, 256), distance, deviation, alike (n, 256), cut (B),
 // pair (n), first_block (B + 1). Writes sums (B, 28).
-KERNEL surfel_equations(const double* moved, const double* normal, const double* distance, const double* deviation,
+KERNEL(surfel_equations, const double* moved, const double* normal, const double* distance, const double* deviation,
                         const bool* alike, const double* cut, const int64_t* pair, const int64_t* first_block, int64_t n,
                         int64_t pairs, double* sums, int64_t threads) {
-    using namespace torchreg;
     std::vector<double> partial(n * PRODUCTS);
     parallel(threads, n, 8, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t block = begin; block < end; ++block) {
@@ -113,8 +114,12 @@ KERNEL surfel_equations(const double* moved, const double* normal, const double*
             block_products(p, d, distance + at, weight, partial.data() + block * PRODUCTS);
         }
     });
-    for (int64_t b = 0; b < pairs; ++b)
-        sum_blocks(partial.data() + first_block[b] * PRODUCTS, first_block[b + 1] - first_block[b], PRODUCTS,
-                   sums + b * PRODUCTS);
+    for (int64_t b = 0; b < pairs; ++b) {
+        double* own = partial.data() + first_block[b] * PRODUCTS;
+        fold_rows(own, first_block[b + 1] - first_block[b], PRODUCTS);
+        std::copy_n(own, PRODUCTS, sums + b * PRODUCTS);
+    }
     return 0;
 }
+
+}  // namespace torchreg

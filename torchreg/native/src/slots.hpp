@@ -5,15 +5,24 @@
 
 namespace torchreg {
 
-// Index int64 and valid bool, rows of `width` slots that begin `index_stride` and `valid_stride` entries apart.
+// Index int64 and valid bool, rows of `width` slots that begin `index_stride` and `valid_stride` entries apart; indices
+// are rows of a table of `count`, of invalid slots, too.
 struct Slots {
     const int64_t* index;
     int64_t index_stride;
     const uint8_t* valid;
     int64_t valid_stride;
     int64_t width;
+    int64_t count;
 
-    const int64_t* index_of(int64_t row) const { return index + row * index_stride; }
+    // The indices of a row, none of which is beyond the table.
+    const int64_t* index_of(int64_t row) const {
+        const int64_t* indices = index + row * index_stride;
+        int64_t signs = 0;
+        for (int64_t k = 0; k < width; ++k) signs |= indices[k] | (count - 1 - indices[k]);
+        if (signs < 0) throw std::out_of_range("a neighbor that is no point");
+        return indices;
+    }
     const uint8_t* valid_of(int64_t row) const { return valid + row * valid_stride; }
     // The slots of a row up to its last valid one.
     int64_t used(int64_t row) const {

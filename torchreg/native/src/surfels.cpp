@@ -1,13 +1,15 @@
 // The moments of the neighbors that surfels are made of.
 #include "common.hpp"
 
+namespace torchreg {
+
 // Equals `_moments` of refinement/surfels.py: centers (n, 3), points (P, 3) with weights (P) and colors (P, 3), or null;
 // near (n, K) rows; `freedom` is the share of the weights that variances are divided by. Writes mean (n, 3) relative to
 // the centers, spread (n, 3, 3), the upper triangle, reach (n) and mean colors (n, 3).
-KERNEL surfel_moments(const double* centers, const double* points, const double* weight, const double* colors,
+KERNEL(surfel_moments, const double* centers, const double* points, const double* weight, const double* colors,
                       const int64_t* near, int64_t n, int64_t neighbors, double freedom, double* mean, double* spread,
                       double* reach, double* mean_colors, int64_t threads) {
-    torchreg::parallel(threads, n, 256, [&](int64_t begin, int64_t end, int64_t) {
+    parallel(threads, n, 256, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<double> room(4 * neighbors);
         double* apart[3] = {room.data(), room.data() + neighbors, room.data() + 2 * neighbors};
         double* w = room.data() + 3 * neighbors;
@@ -44,3 +46,5 @@ KERNEL surfel_moments(const double* centers, const double* points, const double*
     });
     return 0;
 }
+
+}  // namespace torchreg

@@ -31,7 +31,7 @@ struct Tree {
     const int32_t* order;  // the row of every point
     const Box<T>* boxes;   // of all runs, level by level: 2^d - 1 + k
 
-    // planes (3, n), order (n) and boxes (2^(depth + 1) - 1, 6) as `tree_build` has written them
+    // planes (3, n), order (n) and boxes (2^(depth + 1) - 1, 6) as `build_tree` has written them
     Tree(const T* planes, const int32_t* order, const T* boxes, int64_t n)
         : n(n), depth(tree_depth(n)), axes{planes, planes + n, planes + 2 * n}, order(order),
           boxes(reinterpret_cast<const Box<T>*>(boxes)) {}
@@ -126,7 +126,7 @@ inline int32_t nearest_one(const Tree<T>& tree, T x, T y, T z, T limit, T& squar
 
 // Build the tree of points (n, 3): writes planes (3, n), order (n) and boxes (2^(depth + 1) - 1, 6).
 template <typename T>
-void build_tree(const T* points, int64_t n, T* planes, int32_t* order, T* boxes, int64_t threads) {
+int64_t build_tree(const T* points, int64_t n, T* planes, int32_t* order, T* boxes, int64_t threads) {
     const int64_t depth = tree_depth(n);
     Box<T>* box = reinterpret_cast<Box<T>*>(boxes);
     for (int64_t i = 0; i < n; ++i) order[i] = int32_t(i);
@@ -175,6 +175,7 @@ void build_tree(const T* points, int64_t n, T* planes, int32_t* order, T* boxes,
             halve(level, run);
         });
     parallel(threads, int64_t(1) << apart, 1, [&](int64_t run, int64_t, int64_t) { grow(grow, apart, run); });
+    return 0;
 }
 
 }  // namespace torchreg

@@ -19,8 +19,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.native import call, native
-from torchreg.solvers.points import KERNEL_TYPES
+from torchreg.native import KERNEL_TYPES, call, native
 
 TILE_ELEMENTS = 1 << 18
 """Pairs that are compared at once: 1 MB of float32 each temporary."""
@@ -55,15 +54,22 @@ def squares(points: Tensor, others: Tensor, out: Tensor, between: Tensor) -> Ten
 def first_order(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     """A (N, N) float32 of zeros and ones of correspondences (3, N) twice, the diagonal zero."""
     count = source.shape[1]
-    graph = torch.empty(count, count, dtype=torch.float32, device=source.device)
     if native(source, target) and source.dtype in KERNEL_TYPES:
-        sides = (source.contiguous(), target.contiguous())
-        call(f"first_order_{KERNEL_TYPES[source.dtype]}", *sides, count, 1 / (threshold * threshold), graph)
-        return graph
+        return _first_order_compiled(source, target, threshold)
+    graph = torch.empty(count, count, dtype=torch.float32, device=source.device)
     spare = source.new_empty(3, min(count * count, max(count, TILE_ELEMENTS)))
     for rows in row_chunks(count, count, TILE_ELEMENTS):
         graph[rows] = agreeing(source[:, rows], target[:, rows], (source, target), threshold, spare)
     return graph.fill_diagonal_(0)
+
+
+def _first_order_compiled(source: Tensor, target: Tensor, threshold: float) -> Tensor:
+    """As ``first_order``."""
+    count = source.shape[1]
+    graph = torch.empty(count, count, dtype=torch.float32)
+    sides = (source.contiguous(), target.contiguous())
+    call(f"first_order_{KERNEL_TYPES[source.dtype]}", *sides, count, 1 / (threshold * threshold), graph)
+    return graph
 
 
 def second_order(graph: Tensor) -> Tensor:

@@ -30,9 +30,8 @@ from torch import Tensor
 
 from torchreg.geometry.morton import morton_order
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.native import call, native
+from torchreg.native import KERNEL_TYPES, call, native
 from torchreg.solvers.compatibility.graph import TILE_ELEMENTS, agreeing, squares
-from torchreg.solvers.points import KERNEL_TYPES
 
 _ANCHORS = 512  # points that stand for all in the histograms
 _BINS = 64  # over the largest distance
@@ -59,10 +58,7 @@ def degrees(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     """(M,), whole numbers: how many correspondences agree with each, itself counted. Each two are compared once."""
     matches = source.shape[1]
     if native(source, target) and source.dtype in KERNEL_TYPES:
-        counted = torch.empty(matches, dtype=source.dtype)
-        kernel, per_square = f"degrees_{KERNEL_TYPES[source.dtype]}", 1 / (threshold * threshold)
-        call(kernel, source.contiguous(), target.contiguous(), matches, per_square, counted)
-        return counted
+        return _degrees_compiled(source, target, threshold)
     degree, spare = torch.zeros_like(source[0]), source.new_empty(3, TILE_ELEMENTS)
     for rows in row_chunks(matches, _COLUMNS, TILE_ELEMENTS):
         p, q = source[:, rows], target[:, rows]
@@ -75,19 +71,32 @@ def degrees(source: Tensor, target: Tensor, threshold: float) -> Tensor:
     return degree
 
 
+def _degrees_compiled(source: Tensor, target: Tensor, threshold: float) -> Tensor:
+    """As ``degrees``."""
+    degree = torch.empty_like(source[0])
+    kernel, per_square = f"degrees_{KERNEL_TYPES[source.dtype]}", 1 / (threshold * threshold)
+    call(kernel, source.contiguous(), target.contiguous(), len(degree), per_square, degree)
+    return degree
+
+
 def degrees_among(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], threshold: float) -> Tensor:
     """(M,), whole numbers: how many of ``others``, (3, N) twice, agree with each of ``points``, (3, M) twice."""
     if native(*points, *others) and points[0].dtype in KERNEL_TYPES:
-        counted = torch.empty(points[0].shape[1], dtype=points[0].dtype)
-        p, q, r, s = (side.contiguous() for side in (*points, *others))
-        kernel, per_square = f"degrees_among_{KERNEL_TYPES[points[0].dtype]}", 1 / (threshold * threshold)
-        call(kernel, p, q, p.shape[1], r, s, r.shape[1], per_square, counted)
-        return counted
+        return _degrees_among_compiled(points, others, threshold)
     degree, spare = torch.zeros_like(points[0][0]), points[0].new_empty(3, TILE_ELEMENTS)
     for rows in row_chunks(len(degree), _COLUMNS, TILE_ELEMENTS):
         for columns in row_chunks(others[0].shape[1], 1, _COLUMNS):
             part = (others[0][:, columns], others[1][:, columns])
             degree[rows] += agreeing(points[0][:, rows], points[1][:, rows], part, threshold, spare).sum(dim=1)
+    return degree
+
+
+def _degrees_among_compiled(points: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], threshold: float) -> Tensor:
+    """As ``degrees_among``."""
+    p, q, r, s = (side.contiguous() for side in (*points, *others))
+    degree = torch.empty_like(p[0])
+    kernel, per_square = f"degrees_among_{KERNEL_TYPES[p.dtype]}", 1 / (threshold * threshold)
+    call(kernel, p, q, p.shape[1], r, s, r.shape[1], per_square, degree)
     return degree
 
 
@@ -103,16 +112,21 @@ def _chance(points: tuple[Tensor, Tensor], anchors: Sequence[Tensor], width: flo
     """(M,) float64, whole numbers: how alike the lengths from points (3, M) to anchors (3, A) are on the two sides."""
     count = points[0].shape[1]
     if native(*points, *anchors) and points[0].dtype in KERNEL_TYPES:
-        alike = torch.empty(count, dtype=torch.float64)
-        p, q, a, b = (side.contiguous() for side in (*points, *anchors))
-        by = (1 / (width * width), _BINS, _SMOOTHED, alike)
-        call(f"chance_{KERNEL_TYPES[points[0].dtype]}", p, q, count, a, a.shape[1], b, b.shape[1], *by)
-        return alike
+        return _chance_compiled(points, anchors, width)
     parts = [
         _alike(*(_histogram(side[:, rows], among, width) for side, among in zip(points, anchors, strict=True)))
         for rows in row_chunks(count, _ANCHORS, TILE_ELEMENTS)
     ]
     return torch.cat(parts)
+
+
+def _chance_compiled(points: tuple[Tensor, Tensor], anchors: Sequence[Tensor], width: float) -> Tensor:
+    """As ``_chance``."""
+    p, q, a, b = (side.contiguous() for side in (*points, *anchors))
+    alike = torch.empty(p.shape[1], dtype=torch.float64)
+    by = (1 / (width * width), _BINS, _SMOOTHED, alike)
+    call(f"chance_{KERNEL_TYPES[p.dtype]}", p, q, p.shape[1], a, a.shape[1], b, b.shape[1], *by)
+    return alike
 
 
 def _highest(excess: Tensor, count: int) -> Tensor:

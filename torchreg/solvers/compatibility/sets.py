@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
-from torchreg.geometry.numerics.sums import sum_in_order
+from torchreg.geometry.numerics.sums import lane_sums
 from torchreg.native import call, native
 from torchreg.solvers.compatibility.graph import second_order
 
@@ -32,10 +32,7 @@ def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tenso
     count = len(graph)
     narrow = min(narrow, min(wide, count - 1) + 1)
     if native(graph) and graph.dtype == torch.float32 and narrow <= _EXACT:
-        members = torch.empty(count, narrow, dtype=torch.int64)
-        weights = torch.empty(count, narrow, dtype=torch.float64)
-        call("consensus_sets", graph.contiguous(), count, min(wide, count - 1), narrow, members, weights)
-        return members, weights
+        return _sets_compiled(graph, min(wide, count - 1), narrow)
     shared = second_order(graph).fill_diagonal_(-1)  # no node is its own partner, not even for lack of others
     partners = _largest(shared, min(wide, count - 1))  # (N, wide)
     seeds = torch.arange(count, device=graph.device)
@@ -51,19 +48,22 @@ def consensus_sets(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tenso
     return members.gather(1, kept), _leading(second_order(inside).double())
 
 
+def _sets_compiled(graph: Tensor, wide: int, narrow: int) -> tuple[Tensor, Tensor]:
+    """As ``consensus_sets``, of a graph with more than ``wide`` nodes."""
+    count = len(graph)
+    members, weights = (torch.empty(count, narrow, dtype=dtype) for dtype in (torch.int64, torch.float64))
+    call("consensus_sets", graph.contiguous(), count, wide, narrow, members, weights)
+    return members, weights
+
+
 def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Weighted least squares of sets (S, K) of the points (3, N) float64, sums in the order of the members.
 
     Returns rotations (3, 3, S), translations (3, S), and which sets (S,) determine the rotation: spread across a line.
     """
-    sets, size = members.shape
     if native(source, target, members, weights):
-        rotation, translation = source.new_empty(3, 3, sets), source.new_empty(3, sets)
-        fixed = torch.empty(sets, dtype=torch.bool)
-        points = (source.contiguous(), target.contiguous(), source.shape[1])
-        of_sets = (members.contiguous(), weights.contiguous(), sets, size)
-        call("fit_sets", *points, *of_sets, _MIN_SINE * _MIN_SINE, rotation, translation, fixed)
-        return rotation, translation, fixed
+        return _fits_compiled(source, target, members, weights)
+    sets, size = members.shape
     none = [source.new_zeros(*shape, 0) for shape in ((3,), (3,), (3, 3))]
     parts = [
         _moments(source, target, members[rows].t(), weights[rows].t().contiguous())
@@ -77,16 +77,32 @@ def fit_sets(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -
 
 def _moments(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Of members and weights (K, S): means (3, S) twice, covariances (3, 3, S), and which spread across a line."""
-    total = sum_in_order(weights)
+    total = _total(weights)
     share = weights / torch.where(total > 0, total, torch.ones_like(total))  # (K, S)
     p, q = (side.index_select(1, members.flatten()).view(3, *members.shape) for side in (source, target))  # (3, K, S)
-    mean_p, mean_q = sum_in_order(p * share), sum_in_order(q * share)  # (3, S)
+    mean_p, mean_q = _total(p * share), _total(q * share)  # (3, S)
     p, q = p - mean_p[:, None], q - mean_q[:, None]
     weighted = p * share
-    covariance = sum_in_order(weighted[:, None] * q[None])  # (3, 3, S)
-    broad = _spans_plane(sum_in_order(weighted[:, None] * p[None]))
-    broad &= _spans_plane(sum_in_order((q * share)[:, None] * q[None]))
+    covariance = _total(weighted[:, None] * q[None])  # (3, 3, S)
+    broad = _spans_plane(_total(weighted[:, None] * p[None]))
+    broad &= _spans_plane(_total((q * share)[:, None] * q[None]))
     return mean_p, mean_q, covariance, broad & (total > 0)
+
+
+def _fits_compiled(source: Tensor, target: Tensor, members: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """As ``fit_sets``."""
+    sets, size = members.shape
+    rotation, translation = source.new_empty(3, 3, sets), source.new_empty(3, sets)
+    broad = torch.empty(sets, dtype=torch.bool)
+    points = (source.contiguous(), target.contiguous(), source.shape[1])
+    of_sets = (members.contiguous(), weights.contiguous(), sets, size)
+    call("fit_sets", *points, *of_sets, _MIN_SINE * _MIN_SINE, rotation, translation, broad)
+    return rotation, translation, broad
+
+
+def _total(values: Tensor) -> Tensor:
+    """Sums (..., S) of values (..., K, S), one after another."""
+    return lane_sums(values, 1, dim=-2)
 
 
 def _largest(counts: Tensor, number: int) -> Tensor:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.kabsch import kabsch
-from torchreg.geometry.numerics.sums import sum_in_order
+from torchreg.geometry.numerics.sums import lane_sums
 
 FIRST_ROUND = 1 << 12
 """Hypotheses drawn at first, so that easy pairs stop soon; every round draws twice as many as the one before."""
@@ -66,7 +66,7 @@ def _solve_triangles(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
     apart = both - center[:, None]
     along, across = _dot(apart, u[:, None]), _dot(apart, w[:, None])  # (S, 2, H)
     (pu, qu), (pw, qw) = along.unbind(dim=1), across.unbind(dim=1)  # (S, H) each
-    cosine, sine = sum_in_order(pu * qu + pw * qw), sum_in_order(pu * qw - pw * qu)
+    cosine, sine = lane_sums(pu * qu + pw * qw, 1, dim=0), lane_sums(pu * qw - pw * qu, 1, dim=0)
     length = (cosine * cosine + sine * sine).sqrt()
     safe = torch.where(length > 0, length, torch.ones_like(length))
     cosine, sine = torch.where(length > 0, cosine / safe, torch.ones_like(length)), sine / safe

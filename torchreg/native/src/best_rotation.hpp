@@ -1,14 +1,14 @@
 // The rotation that turns points to their partners best (torchreg/geometry/best_rotation.py).
 #pragma once
 
-#include "common.hpp"
+#include "rigid.hpp"
 
 namespace torchreg {
 
 constexpr int ROUNDS = 7;     // of squarings; after each the trace is one again
 constexpr int SQUARINGS = 4;  // a round
 
-// rotation (3, 3) by rows, from covariance[3 * i + j] = sum of p_i q_j.
+// Equals `best_rotation`: rotation (3, 3) by rows, from covariance[3 * i + j] = sum of p_i q_j.
 inline void best_rotation(const double* covariance, double* rotation) {
     const double* S = covariance;
     double shift = std::abs(S[0]);
@@ -60,12 +60,10 @@ inline void best_rotation(const double* covariance, double* rotation) {
     rotation[8] = 1.0 - twice * (x * x + y * y);
 }
 
-// target_mean - rotation source_mean.
+// Equals `best_translation`: target_mean - rotation source_mean.
 inline void best_translation(const double* rotation, const double* source_mean, const double* target_mean, double* t) {
-    for (int i = 0; i < 3; ++i) {
-        const double* row = rotation + 3 * i;
-        t[i] = target_mean[i] - (row[0] * source_mean[0] + row[1] * source_mean[1] + row[2] * source_mean[2]);
-    }
+    for (int i = 0; i < 3; ++i)
+        t[i] = target_mean[i] - turned(rotation, i, source_mean[0], source_mean[1], source_mean[2]);
 }
 
 }  // namespace torchreg

@@ -1,16 +1,8 @@
-// Exact nearest rows in feature space, from lower bounds in few dimensions. See torchreg/matching/shadows.py.
-#include "common.hpp"
+// Exact nearest rows in feature space, from lower bounds in few dimensions: torchreg/matching/shadows.py.
+#include "vectors.hpp"
 
-#if defined(__GNUC__) && !defined(__clang__) && defined(__AVX2__) && !defined(__FMA__)
-#pragma GCC target("fma")  // every processor with AVX2 that torch takes for such has it
-#endif
-#if defined(__AVX2__)
-#include <immintrin.h>
-#endif
-
+namespace torchreg {
 namespace {
-
-using torchreg::parallel;
 
 constexpr float NEVER = std::numeric_limits<float>::infinity();
 constexpr double ROOTS = 1e-14;        // relative, far above what squares of one root differ by
@@ -18,142 +10,6 @@ constexpr int64_t BUFFER = 64 * 1024;  // floats of bounds at a time: they stay 
 constexpr int64_t PIECE = 96;          // queries, a multiple of TALL
 constexpr int64_t SPARE = 8 * 1024;    // full comparisons of a piece beyond some dozens of each query: a crowd ends them
 constexpr int64_t FIRST = 4;           // rows at least whose distance is computed before others are ruled out
-
-// A vector of floats. Products may be fused: bounds allow for either rounding.
-#if defined(__AVX512F__)
-constexpr int64_t WIDTH = 16, TALL = 12;
-struct Lanes {
-    __m512 of;
-    static Lanes load(const float* from) { return {_mm512_loadu_ps(from)}; }
-    static Lanes all(float value) { return {_mm512_set1_ps(value)}; }
-    void store(float* to) const { _mm512_storeu_ps(to, of); }
-    Lanes plus(Lanes other) const { return {_mm512_add_ps(of, other.of)}; }
-    Lanes plus_product(Lanes a, Lanes b) const { return {_mm512_fmadd_ps(a.of, b.of, of)}; }
-    Lanes least(Lanes other) const { return {_mm512_min_ps(of, other.of)}; }
-    uint32_t within(Lanes limit) const { return _mm512_cmp_ps_mask(of, limit.of, _CMP_LE_OQ); }
-};
-#elif defined(__AVX2__)
-constexpr int64_t WIDTH = 8, TALL = 6;
-struct Lanes {
-    __m256 of;
-    static Lanes load(const float* from) { return {_mm256_loadu_ps(from)}; }
-    static Lanes all(float value) { return {_mm256_set1_ps(value)}; }
-    void store(float* to) const { _mm256_storeu_ps(to, of); }
-    Lanes plus(Lanes other) const { return {_mm256_add_ps(of, other.of)}; }
-#if defined(__FMA__) || defined(_MSC_VER)
-    Lanes plus_product(Lanes a, Lanes b) const { return {_mm256_fmadd_ps(a.of, b.of, of)}; }
-#else
-    Lanes plus_product(Lanes a, Lanes b) const { return {_mm256_add_ps(_mm256_mul_ps(a.of, b.of), of)}; }
-#endif
-    Lanes least(Lanes other) const { return {_mm256_min_ps(of, other.of)}; }
-    uint32_t within(Lanes limit) const { return _mm256_movemask_ps(_mm256_cmp_ps(of, limit.of, _CMP_LE_OQ)); }
-};
-#else
-constexpr int64_t WIDTH = 4, TALL = 4;
-struct Lanes {
-    float of[WIDTH];
-    template <typename Operation>
-    static Lanes each(Operation operation) {
-        Lanes result;
-        for (int64_t lane = 0; lane < WIDTH; ++lane) result.of[lane] = operation(lane);
-        return result;
-    }
-    static Lanes load(const float* from) {
-        return each([&](int64_t lane) { return from[lane]; });
-    }
-    static Lanes all(float value) {
-        return each([&](int64_t) { return value; });
-    }
-    void store(float* to) const { std::copy(of, of + WIDTH, to); }
-    Lanes plus(Lanes other) const {
-        return each([&](int64_t lane) { return of[lane] + other.of[lane]; });
-    }
-    Lanes plus_product(Lanes a, Lanes b) const {
-        return each([&](int64_t lane) { return of[lane] + a.of[lane] * b.of[lane]; });
-    }
-    Lanes least(Lanes other) const {
-        return each([&](int64_t lane) { return of[lane] < other.of[lane] ? of[lane] : other.of[lane]; });
-    }
-    uint32_t within(Lanes limit) const {
-        uint32_t bits = 0;
-        for (int64_t lane = 0; lane < WIDTH; ++lane) bits |= uint32_t(of[lane] <= limit.of[lane]) << lane;
-        return bits;
-    }
-};
-#endif
-
-// Eight doubles. Products may be fused here, too.
-#if defined(__AVX512F__)
-struct Eight {
-    __m512d of;
-    static Eight zero() { return {_mm512_setzero_pd()}; }
-    static Eight load(const double* from) { return {_mm512_loadu_pd(from)}; }
-    static Eight load(const float* from) { return {_mm512_cvtps_pd(_mm256_loadu_ps(from))}; }
-    Eight minus(Eight other) const { return {_mm512_sub_pd(of, other.of)}; }
-    Eight plus(Eight other) const { return {_mm512_add_pd(of, other.of)}; }
-    Eight plus_square(Eight a) const { return {_mm512_fmadd_pd(a.of, a.of, of)}; }
-    Eight plus_product(double a, Eight b) const { return {_mm512_fmadd_pd(_mm512_set1_pd(a), b.of, of)}; }
-    void store(double* to) const { _mm512_storeu_pd(to, of); }
-};
-#elif defined(__AVX2__)
-struct Eight {
-    __m256d low, high;
-    static Eight zero() { return {_mm256_setzero_pd(), _mm256_setzero_pd()}; }
-    static Eight load(const double* from) { return {_mm256_loadu_pd(from), _mm256_loadu_pd(from + 4)}; }
-    static Eight load(const float* from) {
-        return {_mm256_cvtps_pd(_mm_loadu_ps(from)), _mm256_cvtps_pd(_mm_loadu_ps(from + 4))};
-    }
-    Eight minus(Eight b) const { return {_mm256_sub_pd(low, b.low), _mm256_sub_pd(high, b.high)}; }
-    Eight plus(Eight b) const { return {_mm256_add_pd(low, b.low), _mm256_add_pd(high, b.high)}; }
-    Eight plus_square(Eight a) const {
-        return plus({_mm256_mul_pd(a.low, a.low), _mm256_mul_pd(a.high, a.high)});
-    }
-    Eight plus_product(double a, Eight b) const {
-        const __m256d factor = _mm256_set1_pd(a);
-        return plus({_mm256_mul_pd(factor, b.low), _mm256_mul_pd(factor, b.high)});
-    }
-    void store(double* to) const {
-        _mm256_storeu_pd(to, low);
-        _mm256_storeu_pd(to + 4, high);
-    }
-};
-#else
-struct Eight {
-    double of[8];
-    template <typename Operation>
-    static Eight each(Operation operation) {
-        Eight result;
-        for (int64_t lane = 0; lane < 8; ++lane) result.of[lane] = operation(lane);
-        return result;
-    }
-    static Eight zero() {
-        return each([](int64_t) { return 0.0; });
-    }
-    template <typename Real>
-    static Eight load(const Real* from) {
-        return each([&](int64_t lane) { return double(from[lane]); });
-    }
-    Eight minus(Eight other) const {
-        return each([&](int64_t lane) { return of[lane] - other.of[lane]; });
-    }
-    Eight plus(Eight other) const {
-        return each([&](int64_t lane) { return of[lane] + other.of[lane]; });
-    }
-    Eight plus_square(Eight a) const {
-        return each([&](int64_t lane) { return of[lane] + a.of[lane] * a.of[lane]; });
-    }
-    Eight plus_product(double a, Eight b) const {
-        return each([&](int64_t lane) { return of[lane] + a * b.of[lane]; });
-    }
-    void store(double* to) const { std::copy(of, of + 8, to); }
-};
-#endif
-
-double total(Eight sums) {
-    double of[8];
-    sums.store(of);
-    return ((of[0] + of[4]) + (of[1] + of[5])) + ((of[2] + of[6]) + (of[3] + of[7]));
-}
 
 constexpr int64_t WIDE = 2 * WIDTH;  // columns of a panel
 constexpr int64_t MANY = 8;            // panels that are looked through at once
@@ -169,7 +25,7 @@ int64_t lowest(uint32_t bits) {
 }
 
 // The `place`-th least of a vector.
-float ranked(Lanes lanes, int64_t place) {
+float ranked(Floats lanes, int64_t place) {
     float values[WIDTH], sorted[WIDTH];
     lanes.store(values);
     std::fill(sorted, sorted + place + 1, NEVER);
@@ -202,17 +58,17 @@ struct Panels {
 // left is (width, TALL), -2 times the shadows of the queries, square (TALL) their squared lengths.
 void bounds(const float* left, const float* square, const float* panel, const float* squares, int64_t width, float* out,
             int64_t stride) {
-    Lanes low[TALL], high[TALL];
-    const Lanes first = Lanes::load(squares), second = Lanes::load(squares + WIDTH);
+    Floats low[TALL], high[TALL];
+    const Floats first = Floats::load(squares), second = Floats::load(squares + WIDTH);
     for (int64_t row = 0; row < TALL; ++row) {
-        const Lanes own = Lanes::all(square[row]);
+        const Floats own = Floats::all(square[row]);
         low[row] = first.plus(own);
         high[row] = second.plus(own);
     }
     for (int64_t k = 0; k < width; ++k) {
-        const Lanes a = Lanes::load(panel + k * WIDE), b = Lanes::load(panel + k * WIDE + WIDTH);
+        const Floats a = Floats::load(panel + k * WIDE), b = Floats::load(panel + k * WIDE + WIDTH);
         for (int64_t row = 0; row < TALL; ++row) {
-            const Lanes factor = Lanes::all(left[k * TALL + row]);
+            const Floats factor = Floats::all(left[k * TALL + row]);
             low[row] = low[row].plus_product(factor, a);
             high[row] = high[row].plus_product(factor, b);
         }
@@ -303,14 +159,14 @@ struct Search {
     void look(const float* bound, int64_t panels, int64_t first) {
         const int64_t groups = (panels + MANY - 1) / MANY;
         if (int64_t(least.size()) < groups * WIDTH) least.resize(groups * WIDTH);
-        Lanes overall = Lanes::all(NEVER);
+        Floats overall = Floats::all(NEVER);
         for (int64_t group = 0; group < groups; ++group) {
             const float* some = bound + group * MANY * WIDE;
             const int64_t vectors = 2 * std::min(MANY, panels - group * MANY);
-            Lanes even = Lanes::load(some), odd = Lanes::load(some + WIDTH);
+            Floats even = Floats::load(some), odd = Floats::load(some + WIDTH);
             for (int64_t place = 2; place < vectors; place += 2) {
-                even = even.least(Lanes::load(some + place * WIDTH));
-                odd = odd.least(Lanes::load(some + (place + 1) * WIDTH));
+                even = even.least(Floats::load(some + place * WIDTH));
+                odd = odd.least(Floats::load(some + (place + 1) * WIDTH));
             }
             even = even.least(odd);
             even.store(&least[group * WIDTH]);
@@ -328,10 +184,10 @@ struct Search {
     // Visit rows with bounds in (after, until] and within the limit.
     void pass(const float* bound, int64_t panels, int64_t first, float after, float until) {
         for (int64_t group = 0; group * MANY < panels; ++group) {
-            if (Lanes::load(&least[group * WIDTH]).within(Lanes::all(std::min(limit, until))) == 0) continue;
+            if (Floats::load(&least[group * WIDTH]).within(Floats::all(std::min(limit, until))) == 0) continue;
             const int64_t end = std::min(panels, (group + 1) * MANY) * WIDE;
             for (int64_t begin = group * MANY * WIDE; begin < end; begin += WIDTH) {
-                uint32_t bits = Lanes::load(bound + begin).within(Lanes::all(std::min(limit, until)));
+                uint32_t bits = Floats::load(bound + begin).within(Floats::all(std::min(limit, until)));
                 for (; bits != 0; bits &= bits - 1) {
                     const int64_t column = begin + lowest(bits);
                     if (bound[column] > after && bound[column] <= limit && bound[column] < NEVER && may_visit())
@@ -371,8 +227,10 @@ struct Search {
     }
 };
 
+}  // namespace
+
 template <typename Real>
-int64_t nearest(const Real* query, const float* query_shadow, const double* query_norm, int64_t queries,
+int64_t feature_nearest(const Real* query, const float* query_shadow, const double* query_norm, int64_t queries,
                 const Real* table, const float* table_shadow, const double* table_norm, int64_t rows, int64_t width,
                 int64_t shadow_width, const double* bound, int64_t count, int64_t most, double scale, double unit,
                 double tiny, int64_t* row, double* distance, int64_t threads) {
@@ -421,71 +279,18 @@ int64_t nearest(const Real* query, const float* query_shadow, const double* quer
     return 0;
 }
 
-template <typename Real>
-int64_t shadows(const Real* rows, const double* center, const double* basis, int64_t count, int64_t width, int64_t some,
-                double* shadow, double* norm, int64_t threads) {
-    constexpr int64_t TOGETHER = 8;
-    parallel(threads, count, 256, [&](int64_t from, int64_t to, int64_t) {
-        std::vector<double> centered(TOGETHER * width);
-        for (int64_t block = from; block < to; block += TOGETHER) {
-            const int64_t tall = std::min(TOGETHER, to - block);
-            double square[TOGETHER], kept[TOGETHER] = {0, 0, 0, 0, 0, 0, 0, 0};
-            for (int64_t i = 0; i < tall; ++i) {
-                const Real* row = rows + (block + i) * width;
-                double* own = &centered[i * width];
-                for (int64_t k = 0; k < width; ++k) own[k] = double(row[k]) - center[k];
-                Eight sums = Eight::zero();
-                int64_t k = 0;
-                for (; k + 8 <= width; k += 8) sums = sums.plus_square(Eight::load(own + k));
-                square[i] = total(sums);
-                for (; k < width; ++k) square[i] += own[k] * own[k];
-            }
-            for (int64_t begin = 0; begin < some; begin += 8) {
-                Eight sums[TOGETHER];
-                for (int64_t i = 0; i < TOGETHER; ++i) sums[i] = Eight::zero();
-                for (int64_t k = 0; k < width; ++k) {
-                    const Eight direction = Eight::load(basis + k * some + begin);
-                    for (int64_t i = 0; i < TOGETHER; ++i)
-                        sums[i] = sums[i].plus_product(centered[i * width + k], direction);
-                }
-                for (int64_t i = 0; i < tall; ++i) {
-                    sums[i].store(shadow + (block + i) * (some + 1) + begin);
-                    kept[i] += total(Eight::zero().plus_square(sums[i]));
-                }
-            }
-            for (int64_t i = 0; i < tall; ++i) {
-                shadow[(block + i) * (some + 1) + some] = std::sqrt(std::max(0.0, square[i] - kept[i]));
-                norm[block + i] = std::sqrt(square[i]);
-            }
-        }
-    });
-    return 0;
-}
+// Equals `feature_nearest` of matching/nearest.py, for `shadows_nearest` of shadows.py.
+//
+// query (N, D) and table (M, D) with shadows (N, K) and (M, K) float32 and norms (N) and (M) float64, in units of
+// `scale`; bound (N) float64, within which `count` rows lie, or null; `most` rows that are compared in full of a query;
+// unit and tiny, errors of a bound. Writes row (N, count) int64 and distance (N, count) float64, squared; where ties are
+// not settled, -1 and a bound of the squared distance come first.
+KERNELS(feature_nearest,
+        (const Real* query, const float* query_shadow, const double* query_norm, int64_t queries, const Real* table,
+         const float* table_shadow, const double* table_norm, int64_t rows, int64_t width, int64_t shadow_width,
+         const double* bound, int64_t count, int64_t most, double scale, double unit, double tiny, int64_t* row,
+         double* distance, int64_t threads),
+        (query, query_shadow, query_norm, queries, table, table_shadow, table_norm, rows, width, shadow_width, bound,
+         count, most, scale, unit, tiny, row, distance, threads))
 
-}  // namespace
-
-KERNEL feature_shadows_float(const float* rows, const double* center, const double* basis, int64_t count, int64_t width,
-                             int64_t some, double* shadow, double* norm, int64_t threads) {
-    return shadows(rows, center, basis, count, width, some, shadow, norm, threads);
-}
-
-KERNEL feature_shadows_double(const double* rows, const double* center, const double* basis, int64_t count,
-                              int64_t width, int64_t some, double* shadow, double* norm, int64_t threads) {
-    return shadows(rows, center, basis, count, width, some, shadow, norm, threads);
-}
-
-KERNEL feature_nearest_float(const float* query, const float* query_shadow, const double* query_norm, int64_t queries,
-                             const float* table, const float* table_shadow, const double* table_norm, int64_t rows,
-                             int64_t width, int64_t shadow_width, const double* bound, int64_t count, int64_t most,
-                             double scale, double unit, double tiny, int64_t* row, double* distance, int64_t threads) {
-    return nearest(query, query_shadow, query_norm, queries, table, table_shadow, table_norm, rows, width, shadow_width,
-                   bound, count, most, scale, unit, tiny, row, distance, threads);
-}
-
-KERNEL feature_nearest_double(const double* query, const float* query_shadow, const double* query_norm, int64_t queries,
-                              const double* table, const float* table_shadow, const double* table_norm, int64_t rows,
-                              int64_t width, int64_t shadow_width, const double* bound, int64_t count, int64_t most,
-                              double scale, double unit, double tiny, int64_t* row, double* distance, int64_t threads) {
-    return nearest(query, query_shadow, query_norm, queries, table, table_shadow, table_norm, rows, width, shadow_width,
-                   bound, count, most, scale, unit, tiny, row, distance, threads);
-}
+}  // namespace torchreg
