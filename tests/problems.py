@@ -125,6 +125,26 @@ def room_pair(
     return RoomPair(source, target, (T_target_world @ torch.linalg.inv(T_source_world))[None])
 
 
+class RoomSite(NamedTuple):
+    """Several scans of one room, each in the frame of its scanner, and their true poses (N, 4, 4) float64."""
+
+    scans: list[tr.Clouds]
+    T_world_scan: Tensor
+
+
+def room_site(count: int = 3, *, points: int = 3000, seed: int = 0) -> RoomSite:
+    """Scans of the room of ``room_pair`` from places of its middle."""
+    generator = torch.Generator().manual_seed(seed)
+    low, high = torch.tensor([[2.2, 1.6, 1.2], [4.1, 3.2, 1.7]], dtype=torch.float64)
+    scans, poses = [], []
+    for _ in range(count):
+        place = low + (high - low) * torch.rand(3, dtype=torch.float64, generator=generator)
+        T_scan_world = random_transform(generator, reach=2.0)
+        scans.append(_scan(points, place, T_scan_world, 0.002, 1.0, generator, torch.float32))
+        poses.append(torch.linalg.inv(T_scan_world))
+    return RoomSite(scans, torch.stack(poses))
+
+
 def oriented_room(
     count: int = 600, seed: int = 0, dtype: torch.dtype = torch.float32
 ) -> tuple[tr.Clouds, tr.Neighborhoods]:

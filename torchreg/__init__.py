@@ -47,6 +47,8 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.register import register
 from torchreg.registration.spacing import spacing
 from torchreg.registration.verify import verify
+from torchreg.site import SiteResult
+from torchreg.site.register_site import register_site
 from torchreg.solvers import CompatibilityOptions, RansacOptions, Solver
 from torchreg.solvers.compatibility import compatibility
 from torchreg.solvers.ransac import ransac
@@ -85,6 +87,7 @@ __all__ = [
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "SiteResult",
     "SoftCorrespondences",
     "Solver",
     "Verification",
@@ -118,6 +121,7 @@ __all__ = [
     "read_scans",
     "reference",
     "register",
+    "register_site",
     "soft_equalize",
     "soft_match",
     "spacing",
@@ -146,8 +150,16 @@ def _explain_verification(verification: Verification, pair: int) -> str:
     return explanation_of_given(verification, pair)
 
 
+def _summarize_site(site: SiteResult) -> str:
+    """The text of ``SiteResult.summary``, likewise."""
+    from torchreg.report.site_text import summary_of
+
+    return summary_of(site)
+
+
 RegistrationResult.explainer = _explain
 Verification.explainer = _explain_verification
+SiteResult.summarizer = _summarize_site
 
 
 def __dir__() -> list[str]:

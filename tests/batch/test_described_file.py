@@ -8,10 +8,10 @@ from determinism import same_bits
 from problems import room_pair
 
 import torchreg as tr
-from torchreg.batch.clouds import digest_of
 from torchreg.batch.described_file import described_name, read_described, write_described
 from torchreg.registration import describe_clouds
 from torchreg.registration.describe import description_of
+from torchreg.registration.same_clouds import digest_of
 
 OPTIONS = replace(tr.PAPER, normal_radius=0.5, feature_radius=1.2, feature_max_neighbors=30)
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from torchreg.batch.pairs import Pair
 from torchreg.io import read_cloud_report
 from torchreg.preprocess import random_downsample
 from torchreg.registration.inspect import facts_of, too_wide
+from torchreg.registration.same_clouds import digest_of
 from torchreg.registration.spacing import MAX_POINTS, CloudScale
 from torchreg.settings import StageSettings
 from torchreg.types import Clouds
@@ -89,17 +88,3 @@ def measure(cloud: Clouds, voxel: float | None, *, scaled: bool) -> CloudMeasure
         edge = scale.thinning_voxel
     spacing = scale.spacing(edge or None) if scaled else 0.0
     return CloudMeasures(digest_of(cloud), scale.points, cloud.colors is not None, edge, spacing)
-
-
-def digest_of(cloud: Clouds) -> str:
-    """Hexadecimal digits that name the content of a cloud: all its tensors, and whether its viewpoint is a guess."""
-    digest = hashlib.blake2b(digest_size=16)
-    parts = (cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint, cloud.viewpoint_assumed)
-    for part in parts:
-        digest.update(b"none" if part is None else _bytes(part))
-    return digest.hexdigest()
-
-
-def _bytes(part: Tensor) -> bytes:
-    array = part.contiguous().numpy()
-    return f"{array.dtype} {array.shape}".encode() + array.tobytes()

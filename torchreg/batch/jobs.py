@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from torchreg.batch.clouds import CloudMeasures, CloudSource, digest_of, measure, read_source
+from torchreg.batch.clouds import CloudMeasures, CloudSource, measure, read_source
 from torchreg.batch.described_file import read_described, write_described
 from torchreg.batch.engine import Job
 from torchreg.batch.pairs import Pair
@@ -19,6 +19,7 @@ from torchreg.registration import DescribedClouds, derive_options, register_desc
 from torchreg.registration.describe import describe_by
 from torchreg.registration.described import Description
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.same_clouds import digest_of
 from torchreg.types import Clouds
 
 

@@ -10,9 +10,9 @@ from torchreg.batch.clouds import CloudMeasures, CloudSource, sources_of
 from torchreg.batch.engine import BatchProgress, Engine, Outcome, Report, stop_without_room
 from torchreg.batch.jobs import DERIVE, MEASURE, DeriveItem, MeasureItem
 from torchreg.batch.pairs import Pair
-from torchreg.batch.scales import Scale, shared_scales
 from torchreg.batch.store import Store
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.scales import Scale, shared_scales
 from torchreg.registration.spacing import MAX_POINTS, options_of_spacings
 from torchreg.settings import PRESETS
 

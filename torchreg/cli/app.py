@@ -14,6 +14,7 @@ from torchreg.cli.demo import demo
 from torchreg.cli.guard import GuardedGroup
 from torchreg.cli.info import info
 from torchreg.cli.register import register
+from torchreg.cli.site import site
 from torchreg.cli.verify import verify
 from torchreg.version import __version__
 
@@ -27,6 +28,7 @@ app = typer.Typer(
 app.command()(register)
 app.command()(verify)
 app.command()(batch)
+app.command()(site)
 app.command()(check)
 app.command()(info)
 app.command()(convert)
@@ -49,5 +51,5 @@ def torchreg(
     """Register colored point clouds without a first guess: geometric and color features, mutual matches, robust poses.
 
     Exit codes: 0 a successful registration or a right transform, 2 bad usage or an unreadable file, 3 a registration
-    that failed or a transform that is not right; for those of batch see its help.
+    that failed or a transform that is not right; for those of batch and site see their help.
     """

@@ -23,6 +23,7 @@ from rich.progress import (
 from torchreg.batch import BatchProgress
 from torchreg.cli.guard import complain
 from torchreg.report.text import plain
+from torchreg.site import SiteProgress
 
 _SECONDS_BETWEEN_LINES = 10.0
 _SILENT_SECONDS, _SHORT_STEP = 2.0, 1.0  # of the command, of a step: before these nothing is said off a terminal
@@ -31,7 +32,10 @@ _WORDS = {
     "measure": ("measuring", "clouds"),
     "describe": ("describing", "clouds"),
     "register": ("registering", "pairs"),
+    "place": ("placing", "scans"),
 }
+
+WorkProgress = BatchProgress | SiteProgress
 
 
 @contextmanager
@@ -108,8 +112,8 @@ def _millions(count: float) -> str:
 
 
 @contextmanager
-def batch_progress() -> Iterator[Callable[[BatchProgress], None]]:
-    """A function that shows every step of a batch: as bars on a terminal, as a line now and then elsewhere."""
+def batch_progress() -> Iterator[Callable[[WorkProgress], None]]:
+    """A function that shows every step of long work: as bars on a terminal, as a line now and then elsewhere."""
     if not sys.stderr.isatty():
         yield _lines()
         return
@@ -125,7 +129,7 @@ def batch_progress() -> Iterator[Callable[[BatchProgress], None]]:
         pace = _Pace()
         tasks: dict[str, TaskID] = {}
 
-        def show(progress: BatchProgress) -> None:
+        def show(progress: WorkProgress) -> None:
             if progress.stage not in tasks:
                 tasks[progress.stage] = bars.add_task(" ".join(_WORDS[progress.stage]), total=progress.total, rate="")
             rate = pace.words(progress)
@@ -134,11 +138,11 @@ def batch_progress() -> Iterator[Callable[[BatchProgress], None]]:
         yield show
 
 
-def _lines() -> Callable[[BatchProgress], None]:
+def _lines() -> Callable[[WorkProgress], None]:
     """A function that prints a line every few seconds, and one at the end of a stage."""
     pace, last = _Pace(), 0.0
 
-    def show(progress: BatchProgress) -> None:
+    def show(progress: WorkProgress) -> None:
         nonlocal last
         words, now = pace.words(progress), time.monotonic()
         if progress.total == 0 or (now - last < _SECONDS_BETWEEN_LINES and progress.done < progress.total):
@@ -156,7 +160,7 @@ class _Pace:
     def __init__(self) -> None:
         self._begun: dict[str, tuple[float, int]] = {}  # seconds, and items done before this run, by stage
 
-    def words(self, now: BatchProgress) -> str:
+    def words(self, now: WorkProgress) -> str:
         """Rate, time left and failures, where there are any."""
         begin, before = self._begun.setdefault(now.stage, (time.monotonic(), now.done))
         spent, done = time.monotonic() - begin, now.done - before

@@ -57,7 +57,7 @@ def _refined(
 ) -> tuple[RegistrationResult, Notes]:
     thresholds = [option.inlier_threshold for option in options]
     failed = [failure is not None for failure in result.failure]
-    sizes = [_size(result.source.points[begin:end]) for begin, end in spans(result.source.offsets)]
+    sizes = [size_of(cloud) for cloud in result.source.unpack()]
     done = refine_on_surfels(source, target, result.T_target_source, thresholds, failed, sizes)
     fitness, rmse, inliers = result.fitness.clone(), result.inlier_rmse.clone(), result.inliers.clone()
     rows, reasons, kept = spans(result.correspondences.offsets), list(done.reason), [False] * len(result)
@@ -82,11 +82,11 @@ def _refined(
     return changed, tuple((f"the pose is not refined: {reason}",) if reason else () for reason in reasons)
 
 
-def _size(points: Tensor) -> float:
-    """The root mean square distance of points (P, 3) from their mean, meters; 0 without points."""
-    if len(points) == 0:
+def size_of(cloud: Clouds) -> float:
+    """The root mean square distance of the points of one cloud from their mean, meters; 0 without points."""
+    if len(cloud.points) == 0:
         return 0.0
-    wide = points.double()
+    wide = cloud.points.double()
     apart = (wide - lane_sums(wide, dim=0) / len(wide)).square()
     return math.sqrt(float(lane_sums(apart, dim=0).sum()) / len(wide))
 

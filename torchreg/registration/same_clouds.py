@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 
 import torch
@@ -33,6 +34,14 @@ def same_clouds(batches: Sequence[Clouds]) -> list[list[int]]:
     return [[next(split) for _ in range(len(batch))] for batch in batches]
 
 
+def digest_of(cloud: Clouds) -> str:
+    """Hexadecimal digits that name the content of a cloud: all its tensors, and whether its viewpoint is a guess."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in _parts(cloud):
+        digest.update(b"none" if part is None else _bytes(part))
+    return digest.hexdigest()
+
+
 def _parts(cloud: Clouds) -> tuple[Tensor | None, ...]:
     return cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint, cloud.viewpoint_assumed
 
@@ -59,3 +68,8 @@ def _equal(one: Clouds, other: Clouds) -> bool:
 
 def _bits(part: Tensor) -> Tensor:
     return part.contiguous().view({1: torch.int8, 2: torch.int16, 4: torch.int32, 8: torch.int64}[part.element_size()])
+
+
+def _bytes(part: Tensor) -> bytes:
+    array = part.cpu().contiguous().numpy()
+    return f"{array.dtype} {array.shape}".encode() + array.tobytes()

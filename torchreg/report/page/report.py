@@ -123,7 +123,11 @@ def report_html(
         truth=truth,
         max_points=max_points,
     )
-    title = f"torchreg: {reported.heading}"
+    return page_html(f"torchreg: {reported.heading}", [section(reported) for section in sections])
+
+
+def page_html(title: str, parts: Sequence[str]) -> str:
+    """A page with this title that holds pieces of markup, styles and scripts; empty pieces are left out."""
     return "\n".join(
         (
             "<!DOCTYPE html>",
@@ -138,7 +142,7 @@ def report_html(
             "<body>",
             f"<header><h1>{escaped(title)}</h1></header>",
             "<main>",
-            *(part for part in (section(reported) for section in sections) if part),
+            *(part for part in parts if part),
             "</main>",
             f"<footer>Made by torchreg {escaped(__version__)}. This page holds all it shows.</footer>",
             "</body>",

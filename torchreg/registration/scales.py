@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping
 from typing import NamedTuple, TypeVar
 
-from torchreg.registration.spacing import UNEVEN
+from torchreg.registration.spacing import MAX_POINTS, UNEVEN, CloudScale
+from torchreg.types import Clouds
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -27,6 +28,13 @@ class Scale(NamedTuple):
     def size(self) -> float:
         """The longer of the two, by which scales are compared."""
         return max(self.voxel, self.spacing)
+
+
+def scale_of(cloud: Clouds) -> Scale:
+    """The scale of one cloud by itself; voxels where it has so many points that ``register`` would thin it."""
+    scale = CloudScale(cloud)
+    voxel = scale.thinning_voxel if scale.points > MAX_POINTS else 0.0
+    return Scale(voxel, scale.spacing(voxel or None))
 
 
 def shared_scales(alone: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> dict[Key, Scale]:

@@ -8,7 +8,7 @@ from problems import room_pair
 
 import torchreg as tr
 from torchreg.batch.clouds import measure
-from torchreg.batch.scales import Scale, shared_scales
+from torchreg.registration.scales import Scale, shared_scales
 from torchreg.registration.spacing import UNEVEN
 
 

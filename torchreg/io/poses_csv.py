@@ -1,0 +1,44 @@
+"""The poses of a site as a table: one row a scan."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from torchreg.errors import expect, expect_shape
+from torchreg.io.atomic import write_text
+
+COLUMNS = ("scan", "group", *(f"m{row}{column}" for row in range(4) for column in range(4)))
+"""Of the table: the pose is T_world_scan, row by row."""
+
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+def write_poses_csv(path: str | os.PathLike[str], scans: Sequence[str], group: Tensor, T_world_scan: Tensor) -> None:
+    """Write the poses of scans as CSV, in full or not at all.
+
+    Numbers have as many digits as float64 needs. Where a scan is not placed, its group and pose are empty. A name that
+    a spreadsheet would take for a formula gets an apostrophe before it.
+
+    Args:
+        path: the file.
+        scans: the name of each of N scans.
+        group: (N,) int64, -1 where not placed.
+        T_world_scan: (N, 4, 4) float64, meters, from the frame of each scan's file to that of its group.
+
+    Raises:
+        ValueError: numbers of scans that differ, or no such folder.
+    """
+    expect_shape(group, "group", (len(scans),))
+    expect(T_world_scan.shape == (len(scans), 4, 4), "T_world_scan", f"({len(scans)}, 4, 4)", T_world_scan)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for name, number, pose in zip(scans, group.tolist(), T_world_scan.flatten(1).tolist(), strict=True):
+        cells = [number, *map(repr, pose)] if number >= 0 else [""] * (len(COLUMNS) - 1)
+        writer.writerow([f"'{name}" if name.startswith(_FORMULA) else name, *cells])
+    write_text(path, text.getvalue())

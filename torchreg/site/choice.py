@@ -1,0 +1,242 @@
+"""Which links to believe: groups of scans that grow together, the surest links first.
+
+The start decides, not the optimizer: from a wrong tree no robust loss recovers. So links are looked at in the order of
+their log-odds plus log(1 + the triangles that confirm them), as in Kruskal's maximum spanning tree; but where one would
+join two groups, all links between these groups vote. Links that put the groups to each other alike are one ballot. It
+must be more likely right than not, and clearly ahead of every other; else the groups wait for more evidence, and at
+last stay apart.
+
+Links that are wrong by accident hardly agree with each other, so a second and a third pair count much. Look-alike
+places, such as floors of one plan, give many links that agree and are wrong, and more of them prove nothing. So the
+number of pairs counts up to a few, sure links vote first and alone (``_ROUNDS``), and places of several scans are not
+joined against links that are much likelier.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.se3 import compose, inverse
+from torchreg.site.graph import SiteGraph, residuals
+from torchreg.site.loops import Triangles, error_scale, support
+from torchreg.site.optimize import settle_poses
+from torchreg.site.tolerance import Tolerance
+
+_ROUNDS = ((4.0, True), (2.0, True), (0.0, True), (4.0, False), (2.0, False), (0.0, False), (-4.0, False))
+"""Log-odds from which links vote, and whether only one that a triangle confirms may call for a vote."""
+
+_CONFIRMING = 0.5  # triangles, each counted by the probability of its other two links
+
+_AHEAD = math.log(3.0)  # of the next ballot
+_CONFIRMED = math.log(30.0)  # bonus of a ballot for a second and for a third pair: by chance alone they hardly agree
+_COUNTED = 5  # pairs of a ballot: more may be mistaken for one and the same reason
+_OUTVOTED = 2.0  # log-odds by which links that lose a vote may be likelier than those that win it
+_ROUGHLY = 1e-4  # radians and meters, to which poses are settled between the rounds
+_PLACE = 6  # scans of a group that may be a place with a look-alike
+_BALLOTS = 6  # at most, between two groups
+
+
+class Start(NamedTuple):
+    """Groups and rough poses."""
+
+    group: list[int]  # of every node, the world included: a number of its own for each
+    poses: Tensor  # (N + 1, 4, 4), of every node in the frame of its group
+    believed: Tensor  # (K,) rows of the links that agree with them, at most one of a pair
+
+
+class _Ballot(NamedTuple):
+    row: int  # of its surest link
+    agreeing: Tensor  # (R,) bool, of the links that were asked
+    score: float  # log of the sum of their odds
+    level: float  # mean log-odds of the likelier half of them
+    pairs: int  # that say so, and one more where a triangle confirms a link of them
+
+
+def choose(graph: SiteGraph, triangles: Triangles, tolerance: Tolerance) -> Start:
+    """Join scans by the links that are to be believed."""
+    return _Growth(graph, triangles, tolerance).grown()
+
+
+def best_of_pairs(graph: SiteGraph, rows: Tensor, excess: Tensor) -> Tensor:
+    """Of rows (R,) of links with an excess (R,), those of at most 1, one of a pair: the least, else the first."""
+    best: dict[tuple[int, int], tuple[float, int]] = {}
+    pairs = zip(graph.first[rows].tolist(), graph.second[rows].tolist(), strict=True)
+    for pair, value, row in zip(pairs, excess.tolist(), rows.tolist(), strict=True):
+        if value <= 1 and (value, row) < best.get(pair, (2.0, 0)):
+            best[pair] = (value, row)
+    return torch.tensor(sorted(row for _, row in best.values()), dtype=torch.int64)
+
+
+class _Growth:
+    def __init__(self, graph: SiteGraph, triangles: Triangles, tolerance: Tolerance) -> None:
+        self.graph, self.tolerance = graph, tolerance
+        nodes = graph.count + 1
+        self.ends: list[tuple[int, int]] = list(zip(graph.first.tolist(), graph.second.tolist(), strict=True))
+        self.evidence = graph.evidence.tolist()
+        confirming = support(triangles, graph.evidence.sigmoid())
+        self.confirmed = (confirming >= _CONFIRMING).tolist()
+        self.score = (graph.evidence + torch.log1p(confirming)).tolist()
+        self.scale = error_scale(graph, triangles)
+        self._expect_errors(self.scale)
+        self.links: list[list[int]] = [[] for _ in range(nodes)]
+        for row, (a, b) in enumerate(self.ends):
+            self.links[a].append(row)
+            self.links[b].append(row)
+        self.tree: list[list[tuple[int, int]]] = [[] for _ in range(nodes)]  # neighbor, link
+        self.group = list(range(nodes))
+        self.members = {node: [node] for node in range(nodes)}
+        self.poses = torch.eye(4, dtype=torch.float64).repeat(nodes, 1, 1)
+        self.believed: list[Tensor] = []
+        self.names = itertools.count(nodes)
+
+    def grown(self) -> Start:
+        order = sorted(range(len(self.ends)), key=lambda row: (-self.score[row], row))
+        for gate, confirmed in _ROUNDS:
+            asked = [row for row in order if self.evidence[row] >= gate and (self.confirmed[row] or not confirmed)]
+            refused: set[tuple[int, int]] = set()
+            joined = len(self.believed)
+            while sum(self._joined(row, gate if confirmed else min(gate, 0.0), refused) for row in asked):
+                pass
+            if len(self.believed) > joined:
+                self._relax()
+        return Start(self.group, self.poses, self._rows())
+
+    def _rows(self) -> Tensor:
+        """The links that are believed, in order."""
+        return torch.cat(self.believed).sort().values if self.believed else torch.zeros(0, dtype=torch.int64)
+
+    def _relax(self) -> None:
+        """Settle the poses of all groups, so that errors do not add up along chains, and learn how large they are."""
+        fixed = torch.zeros(len(self.poses), dtype=torch.bool)
+        for members in self.members.values():
+            fixed[max(members) if self.graph.count in members else min(members)] = True
+        settled = settle_poses(self.graph.take(self._rows()), self.poses, fixed, least_step=_ROUGHLY)
+        self.poses = settled.poses
+        self._expect_errors(max(self.scale, settled.scale))
+
+    def _expect_errors(self, scale: float) -> None:
+        """Let links err by as much as their covariances promise, squares times ``scale``."""
+        self.turn_variance, self.shift_variance = self.tolerance.variances(self.graph, scale)
+        self.variance = list(zip(self.turn_variance.tolist(), self.shift_variance.tolist(), strict=True))
+
+    def _joined(self, row: int, gate: float, refused: set[tuple[int, int]]) -> bool:
+        """Whether the two groups of a link were joined."""
+        one, other = sorted(self.group[node] for node in self.ends[row])
+        if one == other or (one, other) in refused:
+            return False
+        few, many = sorted((one, other), key=lambda group: (len(self.members[group]), group))
+        rows = self._between(few, many)
+        ballots = self._ballots([k for k in rows if self.evidence[k] >= gate], few)
+        ballots.sort(key=lambda ballot: (-_standing(ballot), ballot.row))
+        first, rivals = ballots[0], ballots[1:]
+        outvoted = _OUTVOTED if len(self.members[few]) >= _PLACE else math.inf
+        beaten = all(
+            _standing(first) - _standing(rival) >= _AHEAD and rival.level - first.level <= outvoted for rival in rivals
+        )
+        if first.score < 0 or not beaten:
+            refused.add((one, other))
+            return False
+        self._join(first.row, few, many, rows)
+        return True
+
+    def _between(self, few: int, many: int) -> list[int]:
+        """The links between two groups, in order."""
+        return sorted(
+            row for node in self.members[few] for row in self.links[node] if self.group[self._across(row, node)] == many
+        )
+
+    def _across(self, row: int, node: int) -> int:
+        a, b = self.ends[row]
+        return b if a == node else a
+
+    def _ballots(self, rows: Sequence[int], few: int) -> list[_Ballot]:
+        """What links say about how the group ``few`` lies to the other, those that say the same together."""
+        index = torch.tensor(rows)
+        evidence = self.graph.evidence[index]
+        left = torch.ones(len(rows), dtype=torch.bool)
+        ballots: list[_Ballot] = []
+        for place in sorted(range(len(rows)), key=lambda k: (-self.score[rows[k]], rows[k])):
+            if not left[place]:
+                continue
+            agreeing = (self._excess(rows[place], index, few)[0] <= 1) & left
+            agreeing[place] = True
+            left &= ~agreeing
+            links = [rows[k] for k in agreeing.nonzero()[:, 0].tolist()]
+            pairs = len({self.ends[row] for row in links}) + any(self.confirmed[row] for row in links)
+            score = float(torch.logsumexp(evidence[agreeing], dim=0))
+            likelier = evidence[agreeing].sort(descending=True).values
+            level = float(likelier[: (len(likelier) + 1) // 2].mean())
+            ballots.append(_Ballot(rows[place], agreeing, score, level, pairs))
+            if len(ballots) == _BALLOTS:
+                break
+        return ballots
+
+    def _excess(self, row: int, index: Tensor, few: int) -> tuple[Tensor, Tensor]:
+        """How far links ``index`` disagree where link ``row`` is right, and the motion (4, 4) of the group ``few``."""
+        graph = self.graph
+        a, b = self.ends[row]
+        T = graph.T[row] if self.group[a] != few else inverse(graph.T[row])
+        fixed, moving = (a, b) if self.group[a] != few else (b, a)
+        motion = compose(compose(self.poses[fixed], T), inverse(self.poses[moving]))
+        poses = self.poses.clone()
+        inside = self.members[few]
+        poses[inside] = compose(motion, self.poses[inside])
+        asked = graph.take(index)
+        e = residuals(asked, poses)
+        turn, shift = torch.linalg.vector_norm(e[:, :3], dim=1), torch.linalg.vector_norm(e[:, 3:], dim=1)
+        turns, shifts = self.turn_variance[index].clone(), self.shift_variance[index].clone()
+        others = index != row  # a link agrees with itself
+        turns[others] += self.variance[row][0]
+        shifts[others] += self.variance[row][1]
+        for start in (fixed, moving):
+            ends = [first if self.group[first] == self.group[start] else second for first, second in self._ends(index)]
+            way = self._ways(start, set(ends))
+            along = torch.tensor([way[node] for node in ends], dtype=torch.float64).view(-1, 2)
+            arm = (poses[ends, :3, 3] - poses[fixed, :3, 3]).square().sum(dim=1)
+            turns += along[:, 0]
+            shifts += along[:, 1] + arm * (along[:, 0] + self.variance[row][0] / 2)
+        return self.tolerance.excess(turn, shift, turns, shifts), motion
+
+    def _ends(self, index: Tensor) -> list[tuple[int, int]]:
+        return [self.ends[row] for row in index.tolist()]
+
+    def _ways(self, start: int, ends: set[int]) -> dict[int, tuple[float, float]]:
+        """The sums of the variances of turns and shifts along the tree from a node to each of ``ends``."""
+        way = {start: (0.0, 0.0)}
+        waiting, missing = deque([start]), len(ends - {start})
+        while missing:
+            node = waiting.popleft()
+            turn, shift = way[node]
+            for other, row in self.tree[node]:
+                if other not in way:
+                    way[other] = (turn + self.variance[row][0], shift + self.variance[row][1])
+                    waiting.append(other)
+                    missing -= other in ends
+        return way
+
+    def _join(self, row: int, few: int, many: int, rows: Sequence[int]) -> None:
+        index = torch.tensor(rows)
+        excess, motion = self._excess(row, index, few)
+        excess[index == row] = 0.0
+        self.believed.append(best_of_pairs(self.graph, index, excess))
+        inside = self.members.pop(few)
+        self.poses[inside] = compose(motion, self.poses[inside])
+        a, b = self.ends[row]
+        self.tree[a].append((b, row))
+        self.tree[b].append((a, row))
+        both = self.members.pop(many) + inside
+        name = next(self.names)
+        self.members[name] = both
+        for node in both:
+            self.group[node] = name
+
+
+def _standing(ballot: _Ballot) -> float:
+    return ballot.level + math.log(min(ballot.pairs, _COUNTED)) + _CONFIRMED * (min(ballot.pairs, 3) - 1)
