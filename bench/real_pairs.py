@@ -2,10 +2,12 @@
 
     python bench/real_pairs.py                         every method and pair; an unfinished run is resumed
     python bench/real_pairs.py --methods default,fast  only these; the documents stay as they are
+    python bench/real_pairs.py --five                  the five of README.md, whose rows alone are written
     python bench/real_pairs.py --saved                 the tables from bench/results/field.json, nothing measured
 
-Rows go to build/field, as ``torchreg bench field --out`` keeps them. Written: bench/results/field.json, the tables of
-docs/benchmarks/real_pairs.md, and the five rows of README.md.
+Rows go to build/field (of ``--five`` to build/field/five), as ``torchreg bench field --out`` keeps them. Written:
+bench/results/field.json, the tables of docs/benchmarks/real_pairs.md, and the five rows of README.md; by ``--five``
+bench/results/field_five.json and these rows.
 """
 
 from __future__ import annotations
@@ -30,24 +32,30 @@ README_METHODS = ("open3d-600k", "kiss-matcher", "magsac", "fast", "default")
 def main() -> None:
     parser = bench_parser(__doc__)
     parser.add_argument("--methods", help="only these, a comma between two")
-    parser.add_argument("--saved", action="store_true", help="write the documents from bench/results/field.json")
+    parser.add_argument("--five", action="store_true", help="those of README.md, and its rows alone")
+    parser.add_argument("--saved", action="store_true", help="write the documents from saved results, nothing measured")
     arguments = parser.parse_args()
     names = None if arguments.methods is None else tuple(arguments.methods.split(","))
+    file = "field_five.json" if arguments.five else "field.json"
+    out = OUT / "five" if arguments.five else OUT
     if not arguments.saved:
         listed_pairs()
-        OUT.parent.mkdir(exist_ok=True)
-        run_study(field_study(REAL, ComparisonOptions(methods=names)), OUT, lambda line: print(line, flush=True))
+        out.mkdir(parents=True, exist_ok=True)
+        options = ComparisonOptions(methods=README_METHODS if arguments.five else names)
+        run_study(field_study(REAL, options), out, lambda line: print(line, flush=True))
         if names is None:
-            shutil.copy(OUT / "field.json", RESULTS / "field.json")
-    content = json.loads(((RESULTS if arguments.saved else OUT) / "field.json").read_text())
+            shutil.copy(out / "field.json", RESULTS / file)
+    content = json.loads((RESULTS / file if arguments.saved else out / "field.json").read_text())
     methods = [METHODS[name] for name in content["run"]["methods"]]
     comparison = MethodComparison(content["rows"], methods, content["gaps"], content["run"]["seed"])
     text = "\n\n".join(table(one.head, one.rows) for one in tables(comparison) if one.heading in PAGE_TABLES)
     print(text)
-    if names is None and not arguments.no_docs:
+    if names is not None or arguments.no_docs:
+        return
+    if not arguments.five:
         gaps = "".join(f" {METHODS[name].title}: {why}." for name, why in comparison.gaps.items())
         publish("real pairs", f"{text}\n\n{in_words(content['machine'])}.{gaps}")
-        publish("five methods", f"{readme_table(comparison)}\n\n{in_words(content['machine'])}.")
+    publish("five methods", f"{readme_table(comparison)}\n\n{in_words(content['machine'])}.")
 
 
 def readme_table(comparison: MethodComparison) -> str:
