@@ -143,3 +143,16 @@ def test_without_a_library_a_call_says_so(monkeypatch) -> None:
     assert native_library() == ""
     with pytest.raises(RuntimeError, match="no library"):
         call("anything")
+
+
+@built
+def test_where_the_widest_library_cannot_be_loaded_the_next_is(tmp_path, monkeypatch):
+    folder = tmp_path / "lib"
+    folder.mkdir()
+    (folder / "kernels_avx512.so").write_bytes(b"no library")
+    shutil.copy(library._FOLDER / "lib" / native_library(), folder / "kernels_avx2.so")
+    monkeypatch.setattr(library, "_FOLDER", tmp_path)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX512")
+    with pytest.warns(RuntimeWarning, match="not used"):
+        found = library._library.__wrapped__()
+    assert found._name == str(folder / "kernels_avx2.so")

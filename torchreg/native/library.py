@@ -95,11 +95,13 @@ def call(name: str, *arguments: Tensor | int | float | None) -> int:
 
 @functools.cache
 def _library() -> ctypes.CDLL | None:
-    """The widest library for this processor that fits the sources beside it."""
+    """The widest library for this processor that can be loaded and fits the sources beside it."""
     sources = fingerprint(_FOLDER / "src")
     for level in _BY_CAPABILITY.get(torch.backends.cpu.get_cpu_capability(), ("default",)):
         for path in sorted((_FOLDER / "lib").glob(f"kernels_{level}.*")):
-            return _checked(path, sources)
+            library = _checked(path, sources)
+            if library is not None:
+                return library
     return None
 
 
