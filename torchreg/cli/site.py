@@ -22,13 +22,13 @@ from torchreg.io import Reading, read_scans, write_cloud
 from torchreg.io.formats import WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
-from torchreg.site.site_json import site_to_dict
 from torchreg.report import REPORT_SUFFIXES
 from torchreg.report.text import plain
 from torchreg.settings import LARGEST_READ, Settings
 from torchreg.site.merged import merged_cloud
 from torchreg.site.register_site import register_site
 from torchreg.site.result import SiteResult
+from torchreg.site.site_json import site_to_dict
 from torchreg.types import Clouds
 from torchreg.verification import WORK
 
