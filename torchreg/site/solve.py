@@ -1,0 +1,212 @@
+"""From scans that can be looked at and registered, wherever that happens, to their poses.
+
+which pairs -> register them -> links -> place     ``rounds``, ``work``, ``placement``
+less trust where links contradict each other       ``doubt``
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.site.doubt import doubt
+from torchreg.site.found import with_odds
+from torchreg.site.links import Link
+from torchreg.site.pairs import PairPlan, Report, SitePair, SiteProgress
+from torchreg.site.placement import Placement, place
+from torchreg.site.result import SiteLink, SiteResult
+from torchreg.site.rounds import ALL_SCANS, Pair, Standing, first_pairs, most_pairs, next_pairs
+from torchreg.site.scans import SiteScans
+from torchreg.site.sketches import Sketch, votes
+from torchreg.site.tolerance import Tolerance
+from torchreg.site.work import PairFound, SiteWork
+
+_ALIKE = 2.0  # inlier thresholds that poses held to be one are apart, besides what their covariances allow
+_DEGREES = 2.0  # likewise
+_DOUBTS = 4  # rounds of doubt
+_LITTLE = 0.5  # log-odds: doubt below changes nothing
+_ROUNDS = 8  # of pairs at most
+_TOLD = 500  # comparisons between reports
+
+
+def solved(scans: SiteScans, plan: PairPlan, work: SiteWork, *, seed: int, report: Report) -> SiteResult:
+    """Choose pairs, register them and place the scans."""
+    return _Solver(scans, plan, work, seed, report).solved()
+
+
+class Prospects(NamedTuple):
+    """What is known of the U usable scans before pairs are registered: votes (U, U) of each two, and their sketches."""
+
+    votes: Tensor
+    sketches: Sequence[Sketch]
+
+
+class Trusted(NamedTuple):
+    """Links as far as they can be trusted, and where they put the scans."""
+
+    links: list[Link]
+    placement: Placement
+    doubt: float
+
+
+def placed(candidates: Sequence[Sequence[Link]], count: int, threshold: float) -> Trusted:
+    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less.
+
+    ``threshold`` is the widest inlier threshold of the pairs, in meters.
+    """
+    tolerance = Tolerance(meters=_ALIKE * threshold, degrees=_DEGREES)
+    less = 0.0
+    for _ in range(_DOUBTS):
+        links = [link for pair in candidates for link in with_odds(pair, [one.log_odds - less for one in pair])]
+        placement = place(links, count, tolerance=tolerance)
+        more = doubt(links, placement)
+        if more < _LITTLE:
+            break
+        less += more
+    return Trusted(links, placement, less)
+
+
+@dataclass
+class _Solver:
+    scans: SiteScans
+    plan: PairPlan
+    work: SiteWork
+    seed: int
+    report: Report
+    found: dict[tuple[int, int], PairFound] = field(default_factory=dict)
+    pairs: list[SitePair] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def solved(self) -> SiteResult:
+        if len(self.plan.usable) <= ALL_SCANS:
+            self._register(self.plan.all_pairs())
+            trusted = self._placed()
+        else:
+            trusted = self._in_rounds()
+        return self._result(trusted)
+
+    def _in_rounds(self) -> Trusted:
+        usable, most = self.plan.usable, most_pairs(len(self.plan.usable))
+        number = {scan: place for place, scan in enumerate(usable)}
+        prospects = self._prospects()
+        wanted = first_pairs(prospects.votes)
+        for _ in range(_ROUNDS):
+            chosen = wanted[: most - len(self.found)]
+            self._register(self.plan.ordered((usable[a], usable[b]) for a, b in chosen))
+            trusted = self._placed()
+            wanted = next_pairs(prospects.votes, prospects.sketches, self._standing(trusted, number))
+            if not wanted or len(self.found) >= most:
+                break
+        return trusted
+
+    def _prospects(self) -> Prospects:
+        """The votes of all pairs, and a sketch of every usable scan."""
+        begin = time.perf_counter()
+        usable, pairs = self.plan.usable, [self.plan.pair(*pair) for pair in self.plan.all_pairs()]
+        wanted = {key: pair.options for pair in pairs for key in pair.sides()}
+        sketches = self.work.sketches(wanted)
+        begin = self._spent("describing", begin)
+        agreement = torch.zeros(len(usable), len(usable), dtype=torch.float64)
+        place = {scan: k for k, scan in enumerate(usable)}
+        for done, pair in enumerate(pairs):
+            if done % _TOLD == 0:
+                self.report(SiteProgress("compare", done, len(pairs)))
+            source, target = (sketches[key] for key in pair.sides())
+            a, b = place[pair.source], place[pair.target]
+            agreement[a, b] = agreement[b, a] = votes(source, target, pair.options.inlier_threshold)
+        self.report(SiteProgress("compare", len(pairs), len(pairs)))
+        self._spent("comparing", begin)
+        some = {key.scan: sketch for key, sketch in sketches.items()}
+        return Prospects(agreement, [some[scan] for scan in usable])
+
+    def _register(self, wanted: Sequence[tuple[int, int]]) -> None:
+        """Register pairs (source, target)."""
+        begin = time.perf_counter()
+        pairs = [self.plan.pair(*pair) for pair in wanted]
+        total = len(self.found) + len(pairs)
+        self.pairs += pairs
+        self._tell(total)
+        for part in self.work.registered(pairs, self.seed):
+            self.found |= {(one.tried.source, one.tried.target): one for one in part}
+            self._tell(total)
+        self._spent("registering pairs", begin)
+
+    def _tell(self, total: int) -> None:
+        failed = sum(not one.tried.success for one in self.found.values())
+        self.report(SiteProgress("register", len(self.found), total, failed))
+
+    def _placed(self) -> Trusted:
+        begin = time.perf_counter()
+        self.report(SiteProgress("place", 0, len(self.scans)))
+        threshold = max((pair.options.inlier_threshold for pair in self.pairs), default=1.0)
+        trusted = placed([self.found[pair].links for pair in self._tried()], len(self.scans), threshold)
+        self.report(SiteProgress("place", len(self.scans), len(self.scans)))
+        self._spent("placing", begin)
+        return trusted
+
+    def _tried(self) -> list[tuple[int, int]]:
+        """The pairs that were registered, in the order of the plan."""
+        return self.plan.ordered(self.found)
+
+    def _standing(self, trusted: Trusted, number: Mapping[int, int]) -> Standing:
+        usable, placement = self.plan.usable, trusted.placement
+        links = zip(trusted.links, placement.used.tolist(), strict=True)
+
+        def named(pairs: Iterable[tuple[int, int]]) -> frozenset[Pair]:
+            return frozenset((min(pair), max(pair)) for pair in ((number[a], number[b]) for a, b in pairs))
+
+        return Standing(
+            group=placement.group[usable],
+            T_world_scan=placement.T_world_scan[usable],
+            tried=named(self.found),
+            holding=named((link.source, link.target) for link, is_used in links if is_used),
+        )
+
+    def _spent(self, stage: str, begin: float) -> float:
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - begin
+        return now
+
+    def _result(self, trusted: Trusted) -> SiteResult:
+        placement = trusted.placement
+        judged = zip(
+            trusted.links,
+            placement.used.tolist(),
+            placement.weight.tolist(),
+            placement.meters.tolist(),
+            placement.degrees.tolist(),
+            placement.loops.tolist(),
+            placement.loop_meters.tolist(),
+            placement.loop_degrees.tolist(),
+            strict=True,
+        )
+        return SiteResult(
+            T_world_scan=placement.T_world_scan,
+            group=placement.group,
+            covariance=placement.covariance,
+            center=placement.center,
+            reason=tuple(_reason(self.scans, scan, why) for scan, why in enumerate(placement.reason)),
+            notes=self.scans.notes,
+            links=tuple(SiteLink(*each) for each in judged),
+            pairs=tuple(self.found[pair].tried for pair in self._tried()),
+            scale=placement.scale,
+            doubt=trusted.doubt,
+            seconds=tuple(self.seconds.items()),
+        )
+
+
+def _reason(scans: SiteScans, scan: int, why: str) -> str:
+    """Why a scan is not placed: what is wrong with it alone says more than that no link was found."""
+    if not why:
+        return ""
+    if scans.trouble[scan]:
+        return scans.trouble[scan]
+    usable = sum(not trouble for trouble in scans.trouble)
+    if usable == 1 < len(scans):
+        return "it is the only scan that can be used"
+    return scans.other_units(scan) or why
