@@ -1,0 +1,132 @@
+"""The folder of a run on disk: settings, a database, and a lock, so that a run that was cut off can resume."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from filelock import FileLock, Timeout
+
+from torchreg.errors import expect
+from torchreg.io.atomic import remove_remains, write_text
+
+_Folder = TypeVar("_Folder", bound="RunFolder")
+
+
+class RunFolder:
+    """The folder of one run, which one process uses at a time. To be used as a context.
+
+    Args:
+        folder: made where it does not exist; the folder above it must.
+        manifest: the settings of the run, plain values by name; a run with others is refused.
+        database: the name of the file of the database.
+        tables: the commands that make its tables where they do not exist.
+        folders: names of folders in it, made where they do not exist.
+
+    Raises:
+        ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
+            in it.
+        OSError: it cannot be written.
+    """
+
+    def __init__(
+        self, folder: Path, manifest: Mapping[str, Any], *, database: str, tables: str, folders: Sequence[str] = ()
+    ) -> None:
+        self.folder = folder
+        self._file = folder / database
+        expect(folder.absolute().parent.is_dir(), str(folder), "a folder in one that exists", "none there")
+        expect(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
+        known = folder / "run.json"
+        if folder.is_dir() and not known.exists():
+            # a run that was killed at once may have left a lock or a part of run.json
+            others = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+            if others:
+                some = ", ".join(others[:3])
+                raise ValueError(f"{folder}: expected an empty folder, or one of such a run, got one with {some}")
+        folder.mkdir(exist_ok=True)
+        self._lock = FileLock(folder / ".lock")
+        try:
+            self._lock.acquire(timeout=0)
+        except Timeout:
+            raise ValueError(f"{folder}: expected a folder without a run at work, got one that has one") from None
+        try:
+            self._begin(known, manifest, tables, folders)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _begin(self, known: Path, manifest: Mapping[str, Any], tables: str, folders: Sequence[str]) -> None:
+        if known.exists():
+            _expect_same_run(known, manifest)
+        else:
+            write_text(known, json.dumps(manifest, indent=2) + "\n")
+        inside = [self.folder / name for name in folders]
+        for path in inside:
+            path.mkdir(exist_ok=True)
+        for path in (self.folder, *inside):
+            remove_remains(path)
+        with self._database_errors():
+            self._database = sqlite3.connect(self._file)
+            self._database.row_factory = sqlite3.Row
+            with self._database:
+                self._database.executescript(tables)
+
+    def __enter__(self: _Folder) -> _Folder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._database.close()
+        self._lock.release()
+
+    def rows(self, query: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
+        """All rows that a query yields."""
+        with self._database_errors(), closing(self._database.execute(query, values)) as rows:
+            return list(rows)
+
+    def commit(self, command: str, *rows: Sequence[Any]) -> None:
+        """Carry out a command for every row of values, all or none, and keep it.
+
+        Raises:
+            OSError: it cannot be written; what was committed before is kept.
+        """
+        with self._database_errors(), self._database:
+            self._database.executemany(command, rows)
+
+    @contextmanager
+    def _database_errors(self) -> Iterator[None]:
+        """Name the file where the database cannot be used: a full disk, a damaged file."""
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            raise OSError(f"{self._file}: {error}") from None
+
+
+def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The values that differ, in words; empty where none do."""
+    names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
+    return ", ".join(f"{name} {_in_words(then.get(name))} there and {_in_words(now.get(name))} now" for name in names)
+
+
+def _in_words(value: Any) -> str:  # noqa: ANN401
+    return "not given" if value is None else str(value)
+
+
+def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
+    """Refuse a run of other settings than the one that began a folder; the message names what differs."""
+    try:
+        then = json.loads(known.read_text())
+        expect(isinstance(then, dict), str(known), "the options of a run", then)
+    except ValueError as error:
+        raise ValueError(f"{known}: expected the options of a run, got another file ({error})") from None
+    different = differences(then, manifest)
+    if different:
+        raise ValueError(
+            f"{known.parent}: expected a new folder, or the settings that it was begun with, got {different}"
+        )
