@@ -58,6 +58,17 @@ def test_what_is_no_description_is_none(tmp_path, content):
     assert read_described(file, description_of(OPTIONS, colored=True)) is None
 
 
+def test_a_description_under_the_name_of_another_is_none(tmp_path):
+    """Files that were swapped or copied on the disk are whole, but of another cloud."""
+    described = describe_clouds(room_pair(200).source, OPTIONS)
+    first, other = tmp_path / "first.pt", tmp_path / "other.pt"
+    write_described(first, described)
+    first.rename(other)
+    assert read_described(other, described.descriptions[0]) is None
+    other.rename(first)
+    assert same_bits(read_described(first, described.descriptions[0]).cloud, described.cloud)
+
+
 def test_names_differ_where_anything_does():
     cloud = room_pair(100).source
     clouds = [

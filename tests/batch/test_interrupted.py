@@ -5,6 +5,7 @@ import random
 import signal
 import sqlite3
 import time
+from pathlib import Path
 
 import pytest
 from projects import finish, lines_of, make_project, start
@@ -86,3 +87,41 @@ def test_an_interrupt_ends_a_batch_cleanly_and_the_same_command_resumes(tmp_path
         assert "Traceback" not in ended.stderr
     assert finish(start(project.table, "--out", out)).code == 0
     assert len(lines_of(out)) == 6
+
+
+def shared_files(processes):
+    """The semaphores and the shared memory that the processes have open, by their paths."""
+    found = set()
+    for process in processes:
+        try:
+            lines = Path("/proc", str(process.pid), "maps").read_text().splitlines()
+        except OSError:
+            continue
+        found |= {line.split()[5] for line in lines if "/dev/shm/" in line}
+    return found
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="looks for shared memory where Linux has it")
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_a_batch_leaves_no_process_and_nothing_shared(tmp_path, ending):
+    import psutil
+
+    project, out = make_project(tmp_path, clouds=10, points=1000), tmp_path / "out"
+    process = start(project.table, "--out", out, "--workers", 2)
+    family = [psutil.Process(process.pid)]
+    while finished_pairs(out) < 1 and process.poll() is None:
+        time.sleep(0.01)
+    family += family[0].children(recursive=True)
+    shared = shared_files(family)
+    assert len(family) > 3
+    assert any("sem." in path for path in shared)
+    process.send_signal(ending)
+    ended = finish(process)
+    assert ended.code == 128 + ending, ended.stderr
+    assert "the same command resumes from there" in ended.stderr
+    assert f"ended by {ending.name}" in ended.stderr
+    assert "leaked" not in ended.stderr
+    assert "Traceback" not in ended.stderr
+    _, alive = psutil.wait_procs(family, timeout=10)
+    assert [one for one in alive if one.status() != psutil.STATUS_ZOMBIE] == []  # a zombie waits for its parent alone
+    assert [path for path in shared if Path(path).exists()] == []

@@ -1,5 +1,7 @@
 """The pairs of a batch: their names, and those of a pattern."""
 
+import unicodedata
+
 import torch
 
 import torchreg as tr
@@ -11,9 +13,13 @@ def pair(name):
 
 
 def test_names_of_files_differ_whatever_the_pairs_are_called():
-    names = ["a__b", "a/b", "a_b-82badf67", "a\\b", "a b", "a_b", "..", "." * 200, "é" * 300, "é" * 301, "-", ""]
+    names = ["a__b", "a/b", "a\\b", "a b", "a_b", "..", "." * 200, "é" * 300, "é" * 301, "-", ""]
+    names += ["a__B", "A__B", "e\u0301", "\u00e9", "K", "\u212a", "k", "ß", "ss", "nul", "Nul", "com1.x"]
+    names.append(pair("a/b").file_name)
     files = [pair(name).file_name for name in names]
-    assert len(set(files)) == len(names)
+    folded = [unicodedata.normalize("NFKC", file).casefold() for file in files]
+    assert len(set(folded)) == len(names)
+    assert not {"", "nul", "com1.x"} & set(folded)
     assert files[0] == "a__b"
     assert all("/" not in file and not file.startswith(".") and len(file) < 140 for file in files)
 

@@ -18,7 +18,7 @@ from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
-_FORMAT = 7
+_FORMAT = 8
 _CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results without a trace
 
 
@@ -44,26 +44,30 @@ def write_described(path: Path, described: DescribedClouds) -> None:
     buffer = io.BytesIO()
     torch.save(content, buffer)
     with atomic_write(path, durable=False) as file:  # the checksum shows what a power cut damaged
-        file.write(_checksum(buffer.getvalue()))
+        file.write(_checksum(path.name, buffer.getvalue()))
         file.write(buffer.getvalue())
 
 
 def read_described(path: Path, description: Description) -> DescribedClouds | None:
     """Read one cloud that was described so.
 
-    ``None`` where the file is missing or damaged, so that it is to be made again.
+    ``None`` where the file is missing or damaged, or was written under another name and so is another's description, so
+    that it is to be made again.
     """
     try:
         content = path.read_bytes()
     except OSError:
         return None
     checksum, body = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-    if _checksum(body) != checksum:
+    if _checksum(path.name, body) != checksum:
         return None
     with torch.serialization.safe_globals([Clouds, Features, CloudFacts, Failure, Surfels]):
         cloud, features, spacing, facts, surfels = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
     return DescribedClouds(cloud, features, (description,), spacing, facts, surfels)
 
 
-def _checksum(content: bytes) -> bytes:
-    return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
+def _checksum(name: str, content: bytes) -> bytes:
+    """Of a file's name with its content: the name alone says which cloud it is and how it was described."""
+    digest = hashlib.blake2b(f"{name}\0".encode(), digest_size=_CHECKSUM_BYTES)
+    digest.update(content)
+    return digest.digest()

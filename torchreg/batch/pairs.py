@@ -21,6 +21,10 @@ from torchreg.io.formats import AMBIGUOUS_SUFFIXES
 from torchreg.settings import PairSettings
 
 _LONGEST = 120  # characters of a file's name that are taken from a pair's
+_TAKEN = re.compile(
+    r".*-[0-9a-f]{12}"  # as names end that get a digest
+    r"|(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?"  # devices of Windows
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +53,15 @@ class Pair:
 
     @property
     def file_name(self) -> str:
-        """A name for the file of the pair, different for every pair of the batch."""
+        """A name for the file of the pair, different for every pair of the batch, on file systems that take capitals
+        for small letters and one form of an accent for another as on those that do not.
+
+        It is the pair's name where that has only small letters, digits and ``_.+-``; else a digest follows.
+        """
         plain = re.sub(r"[^A-Za-z0-9_.+-]", "_", self.name)[:_LONGEST].lstrip(".")
-        if plain == self.name and not re.search(r"-[0-9a-f]{8}$", plain):  # as the other names end
+        if plain and plain == self.name.lower() == self.name and not _TAKEN.fullmatch(plain):
             return plain
-        return f"{plain}-{hashlib.blake2b(self.name.encode(), digest_size=4).hexdigest()}"
+        return f"{plain}-{hashlib.blake2b(self.name.encode(), digest_size=6).hexdigest()}"
 
     @property
     def text(self) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import stat
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,6 +17,9 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.scales import Scale, shared_scales
 from torchreg.registration.spacing import MAX_POINTS, options_of_spacings
 from torchreg.settings import PRESETS
+
+_BLOCK = 1 << 16  # bytes that are read at a place of a file
+_PLACES = 16  # where a large file is read, from its first block to its last
 
 CloudKey = tuple[CloudSource, float | None]
 """A cloud, and the voxel edge that was given for it."""
@@ -143,9 +148,30 @@ def _shares_scale(pair: Pair) -> bool:
 
 
 def _stamp(path: str) -> str:
-    """A text that changes with the file."""
+    """A text that changes with the file: its size, its times, its number on the disk, and a digest of its content.
+
+    The digest is of the whole file up to a megabyte, beyond that of sixteen blocks spread over it. A write sets the
+    time of change, which no program can set back as it can the time of modification. So what stays unseen is a large
+    file that was written between these blocks, at the same size, while the clock stood where it stood before, under a
+    file system that keeps no such time, or beneath the file system.
+    """
     try:
         status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode):  # a pipe would wait for a writer
+            return "no file"
+        content = _content_digest(path, status.st_size)
     except OSError:
         return "missing"
-    return f"{status.st_size} {status.st_mtime_ns}"
+    return f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino} {content}"
+
+
+def _content_digest(path: str, size: int) -> str:
+    """Of all bytes of a small file, of blocks at places spread evenly over a large one."""
+    digest = hashlib.blake2b(digest_size=16)
+    with open(path, "rb", buffering=0) as file:
+        last = max(0, size - _BLOCK)
+        whole = size <= _PLACES * _BLOCK
+        for begin in range(0, size, _BLOCK) if whole else [last * k // (_PLACES - 1) for k in range(_PLACES)]:
+            file.seek(begin)
+            digest.update(file.read(_BLOCK))
+    return digest.hexdigest()

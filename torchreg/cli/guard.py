@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from torchreg.cli.signals import Terminated, terminable
 from torchreg.cli.wording import by_options
 from torchreg.report.text import legible
 
@@ -22,11 +23,16 @@ class GuardedGroup(TyperGroup):
     """A group of commands that end with a message and an exit code whatever happens inside them.
 
     ``ValueError`` (of which ``CloudFileError`` is one) and ``OSError`` are mistakes of the user: 2. Any other exception
-    is a defect: 1. With ``TORCHREG_DEBUG=1`` in the environment, exceptions pass through.
+    is a defect: 1. A signal that ends the process gives 128 and its number. With ``TORCHREG_DEBUG=1`` in the
+    environment, exceptions pass through.
     """
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401  # the context's type is another one in older typers
         """Run the command that was asked for."""
+        with terminable():
+            return self._guarded(ctx)
+
+    def _guarded(self, ctx: Any) -> Any:  # noqa: ANN401
         if os.environ.get(_DEBUG) == "1":
             return super().invoke(ctx)
         try:
@@ -34,6 +40,9 @@ class GuardedGroup(TyperGroup):
         except BrokenPipeError:
             _silence_stdout()
             raise typer.Exit(UNEXPECTED) from None
+        except Terminated as error:
+            complain(str(error))
+            raise typer.Exit(error.code) from None
         except KeyboardInterrupt:
             complain("interrupted")
             raise typer.Exit(INTERRUPTED) from None
