@@ -5,7 +5,7 @@ import os
 import pytest
 
 from torchreg.batch import survey
-from torchreg.batch.survey import _BLOCK, _PLACES, _stamp
+from torchreg.batch.survey import _BLOCK, _PLACES, stamp_of
 
 
 @pytest.fixture(params=[0, 1, 5000, _BLOCK, _PLACES * _BLOCK, _PLACES * _BLOCK + 1, 3 * _PLACES * _BLOCK + 77])
@@ -27,14 +27,14 @@ def change(path, place):
 
 
 def test_a_file_that_stays_has_its_stamp(file):
-    assert _stamp(str(file)) == _stamp(str(file))
+    assert stamp_of(str(file)) == stamp_of(str(file))
 
 
 def test_a_change_of_the_same_size_and_time_is_noticed(file):
     for place in {0, file.stat().st_size // 2, file.stat().st_size - 1} if file.stat().st_size else ():
-        before = _stamp(str(file))
+        before = stamp_of(str(file))
         change(file, place)
-        assert _stamp(str(file)) != before
+        assert stamp_of(str(file)) != before
 
 
 def test_the_content_counts_where_no_time_does(file):
@@ -47,15 +47,15 @@ def test_the_content_counts_where_no_time_does(file):
 
 
 def test_another_file_in_its_place_is_noticed(file, tmp_path):
-    before, copy = _stamp(str(file)), tmp_path / "copy.ply"
+    before, copy = stamp_of(str(file)), tmp_path / "copy.ply"
     copy.write_bytes(file.read_bytes())
     os.utime(copy, ns=(file.stat().st_atime_ns, file.stat().st_mtime_ns))
     os.replace(copy, file)
-    assert _stamp(str(file)) != before
+    assert stamp_of(str(file)) != before
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
 def test_what_is_no_file_has_a_stamp_and_keeps_nobody_waiting(tmp_path):
     os.mkfifo(tmp_path / "pipe.ply")
-    assert _stamp(str(tmp_path / "pipe.ply")) == _stamp(str(tmp_path)) == "no file"
-    assert _stamp(str(tmp_path / "nothing.ply")) == "missing"
+    assert stamp_of(str(tmp_path / "pipe.ply")) == stamp_of(str(tmp_path)) == "no file"
+    assert stamp_of(str(tmp_path / "nothing.ply")) == "missing"

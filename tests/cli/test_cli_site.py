@@ -119,4 +119,4 @@ def test_no_scan_that_can_be_read_is_an_error(run, tmp_path):
     result = run("site", tmp_path / "missing.ply", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "SCANS: expected files of scans" in result.stderr
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out" / "poses.csv").exists()

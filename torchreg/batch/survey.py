@@ -64,7 +64,7 @@ def survey_clouds(pairs: Sequence[Pair], store: Store, engine: Engine, report: R
     survey = Survey({}, {}, {})
     new: list[tuple[CloudKey, str]] = []
     for cloud, is_scaled in scaled.items():
-        stamp = f"{_stamp(cloud[0].path)} {is_scaled}"
+        stamp = f"{stamp_of(cloud[0].path)} {is_scaled}"
         if cloud in known and known[cloud][0] == stamp:
             survey.measures[cloud] = known[cloud][1]
         else:
@@ -147,7 +147,7 @@ def _shares_scale(pair: Pair) -> bool:
     return _needs_scale(pair) and pair.settings.scale == "shared"
 
 
-def _stamp(path: str) -> str:
+def stamp_of(path: str) -> str:
     """A text that changes with the file: its size, its times, its number on the disk, and a digest of its content.
 
     The digest is of the whole file up to a megabyte, beyond that of sixteen blocks spread over it. A write sets the

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from torchreg.batch import Bounds, Engine, LocalEngine, Pair, RayEngine, Store, pairs_of_file, pairs_of_glob
+from torchreg.batch import Bounds, Engine, Pair, Store, pairs_of_file, pairs_of_glob
 from torchreg.batch import run as run_batch
 from torchreg.batch.described_file import computing_versions
 from torchreg.batch.rows import RETRIED, export
@@ -20,19 +19,12 @@ from torchreg.cli.expand import expanded
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
+from torchreg.cli.work import Work
 from torchreg.declaration import declared
 from torchreg.errors import expect, positive
-from torchreg.io.atomic import remove_remains
 from torchreg.settings import PairSettings
 
 _LISTED_FILES = 20  # that do not exist, by name
-
-
-class EngineKind(str, Enum):
-    """What runs the work."""
-
-    local = "local"
-    ray = "ray"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,76 +95,6 @@ class PairList:
         return pairs_of_glob(self.all_pairs or "", settings)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Work:
-    """How a batch is computed; of this, the device alone may change the last bits of a result."""
-
-    engine: Annotated[
-        EngineKind,
-        typer.Option(
-            "--engine",
-            help="What runs the work: processes of this machine (local), or the workers of Ray, here or on a cluster "
-            "(ray). The results are the same.",
-            rich_help_panel=opt.RUN,
-        ),
-    ] = EngineKind.local
-    ray_address: Annotated[
-        str | None,
-        typer.Option(
-            "--ray-address",
-            metavar="ADDRESS",
-            help="Ray cluster to join: HOST:PORT, ray://HOST:PORT, or auto; by default one is started here.",
-            rich_help_panel=opt.RUN,
-        ),
-    ] = None
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            metavar="COUNT",
-            min=0,
-            help="Processes that work at once, 0 for this one alone; by default as many as there are cores.",
-            rich_help_panel=opt.RUN,
-        ),
-    ] = None
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            "--cache",
-            metavar="DIR",
-            help="Folder of described clouds, which several batches may share; by default described in the folder of "
-            "the results.",
-            rich_help_panel=opt.RUN,
-        ),
-    ] = None
-    max_bytes: Annotated[
-        int | None,
-        typer.Option(
-            "--max-bytes",
-            metavar="BYTES",
-            min=1,
-            help="Memory in bytes for the pairs that are registered together, over all workers; by default a quarter "
-            "of what is free.",
-            rich_help_panel=opt.RUN,
-        ),
-    ] = None
-    device: opt.DeviceName = opt.Device.cpu
-
-    def check(self) -> None:
-        """Check before anything begins that the folder of descriptions can be one."""
-        if self.cache is not None:
-            fits = self.cache.absolute().parent.is_dir() and (not self.cache.exists() or self.cache.is_dir())
-            expect(fits, "--cache", "a folder, or a name for one in a folder that exists", str(self.cache))
-
-    def start(self) -> Engine:
-        """The engine that does the work."""
-        ray = self.engine is EngineKind.ray
-        expect(self.ray_address is None or ray, "--ray-address", "--engine ray beside it", self.engine.value)
-        if ray:
-            return RayEngine(self.workers, self.ray_address, self.device.value)
-        return LocalEngine(self.workers, self.device.value)
-
-
 @expanded
 def batch(
     pairs: PairList,
@@ -211,9 +133,7 @@ def batch(
 
 
 def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, bounds: Bounds) -> None:
-    described = (store.folder / "described" if work.cache is None else work.cache).absolute()
-    described.mkdir(exist_ok=True)
-    remove_remains(described, older_than=3600.0)
+    described = work.folder(store.folder)
     finished = {name for name, row in store.finished().items() if row.state not in RETRIED}
     files = {path for pair in pairs if pair.name not in finished for path in (pair.source, pair.target)}
     missing = sorted(path for path in files if not Path(path).exists())

@@ -30,9 +30,12 @@ _SILENT_SECONDS, _SHORT_STEP = 2.0, 1.0  # of the command, of a step: before the
 _BEGIN = time.monotonic()
 _WORDS = {
     "measure": ("measuring", "clouds"),
+    "look": ("reading", "files"),
+    "compare": ("comparing", "pairs"),
     "describe": ("describing", "clouds"),
     "register": ("registering", "pairs"),
     "place": ("placing", "scans"),
+    "refine": ("refining", "pairs"),
 }
 
 WorkProgress = BatchProgress | SiteProgress

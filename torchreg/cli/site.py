@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
-import torch
 import typer
 
+from torchreg.batch.described_file import computing_versions
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import Output, check_outputs, standard_output, write_json
-from torchreg.cli.progress import batch_progress, reading_bar, step
+from torchreg.cli.progress import batch_progress, step
 from torchreg.cli.wording import by_options
-from torchreg.errors import CloudFileError, expect, one_of, positive
-from torchreg.io import Reading, read_scans, write_cloud
+from torchreg.cli.work import Work
+from torchreg.errors import expect, one_of, positive
+from torchreg.io import Reading, write_cloud
 from torchreg.io.formats import WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
 from torchreg.report import REPORT_SUFFIXES
 from torchreg.report.text import plain
 from torchreg.settings import LARGEST_READ, Settings
+from torchreg.site.files import FileScans
 from torchreg.site.merged import merged_cloud
-from torchreg.site.register_site import register_site
 from torchreg.site.result import SiteResult
+from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.site_json import site_to_dict
+from torchreg.site.store import SiteStore
 from torchreg.types import Clouds
 from torchreg.verification import WORK
 
@@ -108,11 +112,24 @@ class SiteOutputs:
     ] = None
 
 
-class _Scan(NamedTuple):
-    name: str
-    cloud: Clouds
-    trouble: str = ""  # why it could not be read
-    notes: tuple[str, ...] = ()
+@dataclass(frozen=True, kw_only=True)
+class Sharing:
+    """Which part of the work this run does."""
+
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            "--shard",
+            metavar="K/N",
+            help="Register the Kth of N shares of the pairs and stop, such as in a job array; then the same command "
+            "without --shard takes over what all found.",
+            rich_help_panel=opt.RUN,
+        ),
+    ] = None
+
+    def chosen(self) -> Shard | None:
+        """The shard, if there is one."""
+        return None if self.shard is None else Shard.of_text(self.shard, "--shard")
 
 
 @expanded
@@ -120,12 +137,14 @@ def site(
     scans: ScanPaths,
     reading: HowToRead,
     outputs: SiteOutputs,
+    work: Work,
+    sharing: Sharing,
     out: Annotated[
         Path,
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Folder of the results, made if need be.",
+            help="Folder of the results, made if need be; an unfinished run there is resumed.",
             rich_help_panel=opt.OUTPUT,
         ),
     ],
@@ -139,20 +158,10 @@ def site(
         ),
     ] = "balanced",
     seed: opt.Seed = 0,
-    max_bytes: Annotated[
-        int | None,
-        typer.Option(
-            "--max-bytes",
-            metavar="BYTES",
-            min=1,
-            help="Memory in bytes for the pairs that are registered together; by default a quarter of what is free.",
-            rich_help_panel=opt.RUN,
-        ),
-    ] = None,
-    device: opt.DeviceName = opt.Device.cpu,
-    threads: opt.Threads = None,
 ) -> None:
     """Put many SCANS into one frame, in any order and without a first guess; all lengths are in meters.
+
+    The same command resumes a run that was cut off: no finished pair is lost or computed again.
 
     DIR gets poses.csv (scan, group, m00 to m33: x_world = R x_scan + t, row by row, in the frame of each scan's file;
     empty where a scan is not placed) and site.json (poses with their covariances, every candidate of every pair with
@@ -161,24 +170,55 @@ def site(
     Exit code 0: all scans are placed in one frame. 2: bad usage, or no scan can be read. 3: some scans are not placed
     or not in one frame; the results say which and why.
     """
-    where = opt.use(device, threads)
+    opt.use(work.device, None)
     one_of(effort, "--effort", tuple(WORK))
+    work.check()
+    shard = sharing.chosen()
     _check(scans, outputs, out)
-    read = _read(scans, reading.reading())
-    names = [scan.name for scan in read]
-    with batch_progress() as report:
-        result = register_site(
-            [scan.cloud.to(where) for scan in read], effort=effort, seed=seed, max_bytes=max_bytes, report=report
+    how = reading.reading()
+    manifest = {
+        **computing_versions(),
+        "device": work.device.value,
+        "effort": effort,
+        "seed": seed,
+        "reading": asdict(reading),
+    }
+    folder = out if shard is None else shard.folder(out)
+    folder.parent.mkdir(exist_ok=True, parents=shard is not None)
+    with closing(work.start()) as engine, SiteStore(folder, manifest) as store, batch_progress() as report:
+        settings = SiteSettings(reading=how, effort=effort, seed=seed)
+        described = work.folder(out)
+        if shard is not None:
+            count = run_shard(
+                scans,
+                store,
+                engine,
+                shard,
+                described=described,
+                settings=settings,
+                max_bytes=work.max_bytes,
+                report=report,
+            )
+            complain(f"{count:,} pairs are registered; the same command without --shard places the scans")
+            return
+        run = run_site(
+            scans, store, engine, described=described, settings=settings, max_bytes=work.max_bytes, report=report
         )
-    result = _with_notes(result, read)
-    out.mkdir(exist_ok=True)
+    result, names = run.result, run.found.names
+    for name, trouble in run.found.unreadable():
+        complain(by_options(trouble) if name in trouble else f"{name}: {by_options(trouble)}")
+    result = replace(result, reason=_worded(result.reason), notes=tuple(map(_worded, result.notes)))
     write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
     write_json(out / "site.json", site_to_dict(result, names, seed=seed))
-    written = [out / "poses.csv", out / "site.json", *_write(outputs, result, read)]
+    written = [out / "poses.csv", out / "site.json", *_write(outputs, result, names, FileScans(run.found.sources))]
     _show(result, names)
     complain(f"wrote {', '.join(map(str, written))}")
     if not bool(result.placed.all()) or int(result.group.max()) > 0:
         raise typer.Exit(NOT_REGISTERED)
+
+
+def _worded(texts: Sequence[str]) -> tuple[str, ...]:
+    return tuple(by_options(text) for text in texts)
 
 
 def _check(scans: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
@@ -194,41 +234,10 @@ def _check(scans: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
     check_outputs(files, scans)
 
 
-def _read(paths: Sequence[Path], reading: Reading) -> list[_Scan]:
-    """The scans of all files; one that cannot be read stands there without points, so that the others go on.
-
-    Raises:
-        CloudFileError: no file can be read.
-    """
-    scans: list[_Scan] = []
-    for path in paths:
-        try:
-            with reading_bar(path.name) as progress:
-                files = read_scans(path, reading=reading, progress=progress)
-        except CloudFileError as error:
-            complain(str(error))
-            scans.append(_Scan(os.fspath(path), Clouds(torch.zeros(0, 3)), by_options(str(error))))
-            continue
-        for number, file in enumerate(files):
-            name = os.fspath(path) if len(files) == 1 else f"{path} [{file.scan or number}]"
-            scans.append(_Scan(name, file.cloud, notes=tuple(by_options(note) for note in file.notes)))
-    if all(scan.trouble for scan in scans):
-        raise CloudFileError(f"SCANS: expected files of scans, got none that can be read ({len(scans)} given)")
-    return scans
-
-
-def _with_notes(result: SiteResult, scans: Sequence[_Scan]) -> SiteResult:
-    """The result with what reading the files showed."""
-    reasons = tuple(scan.trouble or reason for scan, reason in zip(scans, result.reason, strict=True))
-    notes = tuple((*scan.notes, *notes) for scan, notes in zip(scans, result.notes, strict=True))
-    return replace(result, reason=reasons, notes=notes)
-
-
-def _write(outputs: SiteOutputs, result: SiteResult, scans: Sequence[_Scan]) -> list[Path]:
+def _write(outputs: SiteOutputs, result: SiteResult, names: Sequence[str], clouds: Sequence[Clouds]) -> list[Path]:
     """Write what is asked for beside the poses; returns the files."""
     from torchreg.report.page.site_report import write_site_report
 
-    clouds, names = [scan.cloud for scan in scans], [scan.name for scan in scans]
     written = []
     if outputs.merged is not None and not bool(result.placed.any()):
         complain(f"{outputs.merged} not written: no scan is placed")

@@ -121,7 +121,9 @@ def _load_scan(item: ScanItem) -> Clouds:
     cloud = read_scan(item.source)
     same = digest_of(cloud) == item.digest
     if not same:
-        raise CloudFileError(f"{item.source.path}: expected the scan that it held when the run looked at it, got another")
+        raise CloudFileError(
+            f"{item.source.path}: expected the scan that it held when the run looked at it, got another"
+        )
     return cloud if item.key.colored else replace(cloud, colors=None)
 
 

@@ -27,7 +27,7 @@ def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[s
         - ``pairs``: a list of source, target (numbers of scans, from 0), success, reason, candidates (how many);
         - ``links``: a list of the candidates of all pairs, with the fields of ``Link`` and the verdict: used, weight,
           meters, degrees, loops, loop_meters, loop_degrees, as ``SiteLink`` describes them;
-        - ``scale``; ``doubt``; ``seed``; ``seconds``: by stage; ``versions``.
+        - ``scale``; ``doubt``; ``seed``; ``versions``. No times: the same run gives the same bytes.
 
     Raises:
         ValueError: another number of names.
@@ -52,7 +52,6 @@ def site_to_dict(site: SiteResult, names: Sequence[str], *, seed: int) -> dict[s
         "scale": site.scale,
         "doubt": site.doubt,
         "seed": seed,
-        "seconds": dict(site.seconds),
         "versions": versions(),
     }
     return {key: plain_data(value) for key, value in content.items()}

@@ -39,6 +39,13 @@ def solved(scans: SiteScans, plan: PairPlan, work: SiteWork, *, seed: int, repor
     return _Solver(scans, plan, work, seed, report).solved()
 
 
+def registered_share(
+    scans: SiteScans, plan: PairPlan, work: SiteWork, share: slice, *, seed: int, report: Report
+) -> int:
+    """Register a share of the pairs with which ``solved`` begins, in their order; returns how many."""
+    return _Solver(scans, plan, work, seed, report).registered_share(share)
+
+
 class Prospects(NamedTuple):
     """What is known of the U usable scans before pairs are registered: votes (U, U) of each two, and their sketches."""
 
@@ -89,6 +96,15 @@ class _Solver:
         else:
             trusted = self._in_rounds()
         return self._result(trusted)
+
+    def registered_share(self, share: slice) -> int:
+        if len(self.plan.usable) <= ALL_SCANS:
+            pairs = self.plan.all_pairs()
+        else:
+            chosen = first_pairs(self._prospects().votes)[: most_pairs(len(self.plan.usable))]
+            pairs = self.plan.ordered((self.plan.usable[a], self.plan.usable[b]) for a, b in chosen)
+        self._register(pairs[share])
+        return len(self.found)
 
     def _in_rounds(self) -> Trusted:
         usable, most = self.plan.usable, most_pairs(len(self.plan.usable))

@@ -44,6 +44,11 @@ class FoundScans(NamedTuple):
     sources: tuple[ScanSource | None, ...]
     scans: SiteScans
 
+    def unreadable(self) -> list[tuple[str, str]]:
+        """The names of files that cannot be read, and why."""
+        rows = zip(self.names, self.sources, self.scans.trouble, strict=True)
+        return [(name, trouble) for name, source, trouble in rows if source is None]
+
 
 def scans_in_files(
     paths: Sequence[str | os.PathLike[str]],
