@@ -46,9 +46,9 @@ def scan(
 ) -> Clouds:
     """One cloud of the points of a scene that come back to a scanner at its pose (4, 4), float64.
 
-    ``caster`` holds the scene, which many scans may share. It is in meters, in the frame of the world. The points are ordered by elevation from below and then by
-    azimuth: float32, meters, in the frame of the scanner, with colors in steps of 1/255. All noise comes from the seed;
-    how large it is does not change which draws are made.
+    ``caster`` holds the scene, which many scans may share, in meters and in the frame of the world. The points are
+    ordered by elevation from below and then by azimuth: float32, meters, in the frame of the scanner, with colors in
+    steps of 1/255. All noise comes from the seed; how large it is does not change which draws are made.
     """
     rng = np.random.default_rng(seed)
     rays = ray_directions(scanner)  # (E, A, 3)
