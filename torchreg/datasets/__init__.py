@@ -9,7 +9,7 @@ Example:
 from torchreg.datasets.cloud_files import CloudFiles, CloudReader
 from torchreg.datasets.fragments import Fragments
 from torchreg.datasets.scan_pairs import ScanPairs
-from torchreg.synthetic import MatchProblem, mall, match_problem, road
+from torchreg.synthetic import MatchProblem, SimulatedSite, building, mall, match_problem, road
 from torchreg.types.scan_pair import ScanPair, ScanPairBatch, pack_pairs
 
 __all__ = [
@@ -20,6 +20,8 @@ __all__ = [
     "ScanPair",
     "ScanPairBatch",
     "ScanPairs",
+    "SimulatedSite",
+    "building",
     "mall",
     "match_problem",
     "pack_pairs",

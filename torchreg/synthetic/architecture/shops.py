@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from torchreg.synthetic.architecture.hall import HallPlan
+from torchreg.synthetic.furniture.indoor import shelf
 from torchreg.synthetic.scene.paint import muted, neutral, paint, plain_or_muted, vivid, wares
 from torchreg.synthetic.scene.quads import Quads, at_height, boxes, rectangles
 
@@ -26,28 +27,6 @@ def bay(plan: HallPlan, rng: np.random.Generator) -> Quads:
     else:
         parts.append(_shutter(plan, rng) if kind < 0.8 else _closed(plan, rng))
     return Quads.join(parts)
-
-
-def shelf(rng: np.random.Generator, width: float) -> Quads:
-    """A wall unit of boards with goods, side by side in groups of one color."""
-    levels, per_level = 5, int(width / 0.16)
-    boards = 0.1 + 0.42 * np.arange(levels)
-    level, slot = np.repeat(np.arange(levels), per_level), np.tile(np.arange(per_level), levels)
-    size = rng.uniform((0.08, 0.12, 0.12), (0.15, 0.3, 0.34), (len(slot), 3))
-    x = (slot + 0.5) * width / per_level - width / 2
-    center = np.stack((x, 0.1 - size[:, 1] / 2, boards[level] + 0.015 + size[:, 2] / 2), axis=1)
-    group = (slot + 3 * level) // int(rng.integers(3, 7)) + level
-    colors = wares(rng, group.max() + 1)[group]
-    there = rng.random(len(slot)) < 0.85
-    frame = neutral(rng, 0.5, 0.9)
-    board_at = np.stack((0 * boards, 0 * boards - 0.02, boards), axis=1)
-    return Quads.join(
-        [
-            boxes(board_at, (width, 0.4, 0.03), paint(rng, frame, count=levels)),
-            boxes((0, 0.2, 1.05), (width, 0.03, 2.1), paint(rng, frame)),
-            boxes(center[there], size[there], paint(rng, colors[there])),
-        ]
-    )
 
 
 def clothes_rail(rng: np.random.Generator, width: float) -> Quads:

@@ -20,7 +20,7 @@ from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.light import Light, exposed_camera
 from torchreg.synthetic.scene.placing import Contents
 from torchreg.synthetic.scene.quads import Quads
-from torchreg.synthetic.scene.scanner import LaserScanner, pose, scan
+from torchreg.synthetic.scene.scanner import LaserScanner, Raycaster, pose, scan
 from torchreg.types.scan_pair import ScanPair
 
 Plan = TypeVar("Plan")
@@ -69,10 +69,10 @@ def scan_twice(
 ) -> ScanPair:
     """Simulate one place of a kind and scan it from two stations; options and errors are those of ``mall``."""
     at_least(seed, "seed", 0)
-    _expect_within(baseline, "baseline", "meters", 0, environment.longest_baseline)
-    _expect_within(angular_step, "angular_step", "degrees", 0.05, 5)
-    _expect_within(range_noise, "range_noise", "meters", 0, 0.1)
-    _expect_within(relight, "relight", "a number", 0, 2)
+    expect_within(baseline, "baseline", "meters", 0, environment.longest_baseline)
+    expect_within(angular_step, "angular_step", "degrees", 0.05, 5)
+    expect_within(range_noise, "range_noise", "meters", 0, 0.1)
+    expect_within(relight, "relight", "a number", 0, 2)
     stages = 6 + len(environment.fixtures) + len(environment.contents)
     streams = [(seed, environment.first_stream + stage) for stage in range(stages)]
     of_plan, *of_parts, of_stations, of_weather, of_light, of_cameras, of_noise = streams
@@ -92,7 +92,7 @@ def scan_twice(
     clouds = []
     for k in range(2):
         quads = Quads.join([*fixtures, *(piece for part in contents for piece in part[k])])
-        clouds.append(scan(quads, lights[k], cameras[k], stations[k], scanner, seed=(*of_noise, k)))
+        clouds.append(scan(Raycaster(quads), lights[k], cameras[k], stations[k], scanner, seed=(*of_noise, k)))
     T_world_source, T_world_target = stations
     return ScanPair(
         source=clouds[0],
@@ -100,6 +100,12 @@ def scan_twice(
         T_target_source=torch.from_numpy(np.linalg.inv(T_world_target) @ T_world_source),
         name=f"{environment.name}-{seed}",
     )
+
+
+def expect_within(value: float, name: str, unit: str, low: float, high: float) -> None:
+    """Check that an option is a number in [low, high]; ``unit`` is part of the message."""
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    expect(number and low <= value <= high, name, f"{unit} in [{low}, {high}]", value)
 
 
 def _stations(
@@ -114,8 +120,3 @@ def _stations(
         yaw, tilt, tilt_heading = rng.uniform((-math.pi, 0, -math.pi), (math.pi, math.radians(2), math.pi))
         stations.append(pose(position, yaw, tilt, tilt_heading))
     return stations
-
-
-def _expect_within(value: float, name: str, unit: str, low: float, high: float) -> None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    expect(number and low <= value <= high, name, f"{unit} in [{low}, {high}]", value)

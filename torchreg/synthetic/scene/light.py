@@ -6,6 +6,7 @@ the sun. Its unit is arbitrary: 1 is a well-lit floor.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -28,6 +29,7 @@ class Light:
     sun: Array  # (3,) irradiance of a surface that faces the sun
     lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) meters, in the frame of the scene
     lamp_power: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) irradiance 1 m under the lamp
+    near_lamps: Callable[[Array], Array] | None = None  # indices (P, K) of the lamps that light points (P, 3); else all
     sky_center: Array = field(default_factory=lambda: np.zeros(3))  # (3,) meters, the middle of the skylight
     sky_power: Array = field(default_factory=lambda: np.zeros(3))  # (3,) irradiance 1 m under it, were it a point
     dome: Array = field(default_factory=lambda: np.zeros(3))  # (3,) irradiance of level ground under the sky
@@ -98,11 +100,13 @@ def irradiance(points: Array, normals: Array, light: Light, visibility: LineOfSi
     """The light (P, 3), float64 linear RGB, that falls on surfaces at points (P, 3), meters in the frame of the scene.
 
     The normals (P, 3), of unit length, are on the visible side. The sun, both skies and the strongest lamp at each
-    point cast shadows.
+    point cast shadows; where a light names the lamps near a point, all of them do.
     """
     # Floors and what faces the lamps pass light on upwards; walls get the mean.
     total = light.ambient * (1 + 0.15 * normals[:, 2:])
-    if len(light.lamps):
+    if light.near_lamps is not None:
+        _add_near_lamps(total, points, normals, light, light.near_lamps(points), visibility)
+    elif len(light.lamps):
         _add_lamps(total, points, normals, light, visibility)
     if light.sky_power.any():
         sky = _from_above(points, normals, light.sky_center) * visibility.reaches(points, light.sky_center)
@@ -166,10 +170,21 @@ def _add_lamps(total: Array, points: Array, normals: Array, light: Light, visibi
     total -= (0.8 * shaded * strongest / brightness[which])[:, None] * light.lamp_power[which]
 
 
-def _from_above(points: Array, normals: Array, position: Array) -> Array:
-    """Light from a panel that faces down, (P,): inverse square, and the cosine at both ends.
+def _add_near_lamps(
+    total: Array, points: Array, normals: Array, light: Light, near: Array, visibility: LineOfSight
+) -> None:
+    for which in near.T:
+        goals = light.lamps[which]
+        share = _from_above(points, normals, goals)
+        rows = np.flatnonzero(share > 1e-3)
+        rows = rows[visibility.reaches(points[rows], goals[rows])]
+        total[rows] += share[rows, None] * light.lamp_power[which[rows]]
 
-    A panel has a size, so that nothing near it is infinitely bright.
+
+def _from_above(points: Array, normals: Array, position: Array) -> Array:
+    """Light from a panel that faces down at ``position``, (3,) or (P, 3): inverse square, and the cosine at both ends.
+
+    Of shape (P,). A panel has a size, so that nothing near it is infinitely bright.
     """
     offset = position - points
     square = np.einsum("pi,pi->p", offset, offset)

@@ -37,7 +37,7 @@ class LaserScanner:
 
 
 def scan(
-    quads: Quads,
+    caster: Raycaster,
     light: Light,
     camera: Camera,
     T_world_scanner: Array,
@@ -46,12 +46,11 @@ def scan(
 ) -> Clouds:
     """One cloud of the points of a scene that come back to a scanner at its pose (4, 4), float64.
 
-    The scene is in meters, in the frame of the world. The points are ordered by elevation from below and then by
-    azimuth: float32, meters, in the frame of the scanner, with colors in steps of 1/255. All noise comes from the seed;
-    how large it is does not change which draws are made.
+    ``caster`` holds the scene, which many scans may share, in meters and in the frame of the world. The points are
+    ordered by elevation from below and then by azimuth: float32, meters, in the frame of the scanner, with colors in
+    steps of 1/255. All noise comes from the seed; how large it is does not change which draws are made.
     """
     rng = np.random.default_rng(seed)
-    caster = Raycaster(quads)
     rays = ray_directions(scanner)  # (E, A, 3)
     grid = rays.shape[:2]
     rays = rays.reshape(-1, 3)
@@ -65,7 +64,7 @@ def scan(
     normals = np.where(cosine[:, None] < 0, -normals, normals)
     cosine = np.abs(cosine)
     places = station + reach[:, None] * directions + 2e-3 * normals
-    paint = quads.paint.take(quad)
+    paint = caster.paint.take(quad)
     surface = linear(albedo(paint, uv))
     radiance = surface * (irradiance(places, normals, light, caster) + paint.glow[:, None])
 
@@ -114,7 +113,7 @@ class Raycaster:
     def __init__(self, quads: Quads) -> None:
         self._core: Any = load_open3d().core
         self._scene: Any = load_open3d().t.geometry.RaycastingScene()
-        self._uv = quads.uv
+        self._uv, self.paint = quads.uv, quads.paint
         first = 4 * np.arange(len(quads))[:, None, None]
         triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)  # (2Q, 3)
         corners = np.ascontiguousarray(quads.corners.reshape(-1, 3), dtype=np.float32)

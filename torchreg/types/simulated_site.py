@@ -1,0 +1,45 @@
+"""Scans of one simulated place with their true poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, expect_shape
+from torchreg.types.clouds import Clouds
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedSite:
+    """``N`` scans of one place and their true poses, which a registration should find up to a common motion.
+
+    Attributes:
+        scans: N batches of one cloud each, in the frame of its own scanner, which stands at zero.
+        T_world_scan: (N, 4, 4) float64, meters, the true poses: ``x_world = R @ x_scan + t``.
+        floor: (N,) int64, the floor on which each scan was taken; on stairs the one below.
+        stations: N names of where the scanner stood.
+        name: of the place, for reports.
+
+    Raises:
+        ValueError: a scan that is not one cloud, or numbers of scans, poses, floors and names that differ.
+    """
+
+    scans: tuple[Clouds, ...]
+    T_world_scan: Tensor
+    floor: Tensor
+    stations: tuple[str, ...]
+    name: str
+
+    def __post_init__(self) -> None:
+        count = len(self.scans)
+        for i, scan in enumerate(self.scans):
+            expect(len(scan) == 1, f"scans[{i}]", "one cloud", f"{len(scan)} clouds")
+        expect_shape(self.T_world_scan, "T_world_scan", (count, 4, 4), dtype=torch.float64)
+        expect_shape(self.floor, "floor", (count,), dtype=torch.int64)
+        expect(len(self.stations) == count, "stations", f"{count} names, one for every scan", f"{len(self.stations)}")
+
+    def __len__(self) -> int:
+        """The number of scans, N."""
+        return len(self.scans)
