@@ -411,12 +411,12 @@ def test_a_description_that_is_damaged_is_made_again(batch, project, tmp_path):
 def test_a_full_disk_ends_the_run_and_what_is_finished_stands(batch, project, tmp_path, monkeypatch):
     write, left = store_module.write_text, [2]
 
-    def writes_until_full(path, text):
+    def writes_until_full(path, text, **how):
         if "pairs" in Path(path).parts[-2]:
             left[0] -= 1
             if left[0] < 0:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        return write(path, text)
+        return write(path, text, **how)
 
     monkeypatch.setattr(store_module, "write_text", writes_until_full)
     stopped = batch(project.table)

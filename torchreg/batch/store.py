@@ -5,27 +5,31 @@
     DIR/pairs/NAME.json  the whole result of one pair
     DIR/described/       descriptions of clouds, where no other folder is named for them
 
-A pair counts as finished once its row is committed, and its file is written before that.
+A pair counts as finished once its row is committed, and its file is written before that. A row that does not hold what
+was committed is as good as none: its pair is registered again.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
 from torchreg.batch.clouds import CloudMeasures, CloudSource
+from torchreg.batch.finished import FinishedPair, known_cloud, seconds_of_work
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row
 from torchreg.errors import expect
 from torchreg.io.atomic import remove_remains, write_text
+
+_Parsed = TypeVar("_Parsed")
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS pairs (
@@ -46,19 +50,17 @@ INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UP
     finished = excluded.finished, runs = runs + 1
 """
 
-_FINISHED = "SELECT name, state, said, options, digests, line, seconds FROM pairs"
+_FINISHED = """
+SELECT name, state, said, options, digests, line, seconds, record IS NOT NULL AS recorded,
+    CASE WHEN json_valid(record) THEN json_extract(record, '$.name') END AS name_recorded
+FROM pairs
+"""
+_RECORDS = "SELECT name, record FROM pairs"
+_CLOUDS = "SELECT source, asked, stamp, look FROM clouds"
+_WORK = "SELECT stage, seconds FROM work ORDER BY rowid"
 
-
-class FinishedPair:
-    """The row of a pair as it was committed."""
-
-    def __init__(self, row: sqlite3.Row) -> None:
-        self.state: str = row["state"]  # as in ``Row``
-        self.text: str = row["said"]  # the pair as it was written (``Pair.text``)
-        self.options: str = row["options"]  # that it was registered with, as one text
-        self.digests: tuple[str, str] = tuple(json.loads(row["digests"]))  # of both clouds
-        self.line: dict[str, Any] = json.loads(row["line"])  # of the table
-        self.seconds: dict[str, float] = json.loads(row["seconds"])  # by stage
+_DATABASE = "batch.sqlite"
+_OWN = (".lock", "run.json", _DATABASE, "pairs", "described")  # names in the folder that no link may stand for
 
 
 class Store:
@@ -68,14 +70,18 @@ class Store:
         folder: made where it does not exist; the folder above it must.
         manifest: the settings of the run, plain values by name.
 
+    Attributes:
+        damaged: what rows were found to hold that they should not, each once; they were left out.
+
     Raises:
-        ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
-            in it.
+        ValueError: the folder belongs to a run of other settings or to something else, another process is at work in
+            it, or a link stands where it has a file or folder of its own.
         OSError: it cannot be written.
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
         self.folder = folder
+        self.damaged: list[str] = []
         expect(folder.absolute().parent.is_dir(), str(folder), "a folder in one that exists", "none there")
         expect(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
         known = folder / "run.json"
@@ -85,6 +91,10 @@ class Store:
             if others:
                 some = ", ".join(others[:3])
                 raise ValueError(f"{folder}: expected an empty folder, or one of a batch, got one with {some}")
+        for name in _OWN:
+            own = folder / name
+            if own.is_symlink():
+                raise ValueError(f"{own}: expected a file or folder of the batch itself, got a link")
         folder.mkdir(exist_ok=True)
         self._lock = FileLock(folder / ".lock")
         try:
@@ -101,13 +111,14 @@ class Store:
         if known.exists():
             _expect_same_run(known, manifest)
         else:
-            write_text(known, json.dumps(manifest, indent=2) + "\n")
+            write_text(known, json.dumps(manifest, indent=2) + "\n", through_link=False)
         (self.folder / "pairs").mkdir(exist_ok=True)
         for folder in (self.folder, self.folder / "pairs"):
             remove_remains(folder)
         with self._database_errors():
-            self._database = sqlite3.connect(self.folder / "batch.sqlite")
+            self._database = sqlite3.connect(self.folder / _DATABASE)
             self._database.row_factory = sqlite3.Row
+            self._database.text_factory = _text_or_bytes
             with self._database:
                 self._database.executescript(_TABLES)
 
@@ -122,7 +133,8 @@ class Store:
 
     def finished(self) -> dict[str, FinishedPair]:
         """The pairs that have a row, by name."""
-        return {row["name"]: FinishedPair(row) for row in self._rows(_FINISHED)}
+        rows = self._parsed("pairs", "name", _FINISHED, lambda row: (row["name"], FinishedPair(row)))
+        return dict(rows)
 
     def finish(self, pair: Pair, row: Row, options: str) -> None:
         """Write the file of a pair and commit its row.
@@ -138,29 +150,25 @@ class Store:
 
     def mend_records(self, pairs: Sequence[Pair]) -> None:
         """Write the files of finished pairs again that are missing or have been changed."""
-        rows = self._rows("SELECT name, record FROM pairs")
-        records = {row["name"]: row["record"] for row in rows}
-        for pair in pairs:
-            if pair.name in records:
-                self._write_record(pair, records[pair.name])
+        finished = self.finished()
+        of_name = {pair.name: pair for pair in pairs if pair.name in finished}
+        with self._database_errors(), closing(self._database.execute(_RECORDS)) as rows:
+            for row in rows:  # one at a time: together they may be larger than the memory
+                if row["name"] in of_name:
+                    self._write_record(of_name[row["name"]], row["record"])
 
     def _write_record(self, pair: Pair, record: str | None) -> None:
         """Write or remove a pair's file, where it is not as it should be."""
         path = self.folder / "pairs" / f"{pair.file_name}.json"
         if record is None:
             path.unlink(missing_ok=True)  # of an earlier run, when the clouds were others
-        elif not path.is_file() or path.read_bytes() != record.encode():
-            write_text(path, record)
+        elif path.is_symlink() or not path.is_file() or path.read_bytes() != record.encode():
+            write_text(path, record, through_link=False)
 
     def measures(self) -> dict[tuple[CloudSource, float | None], tuple[str, CloudMeasures]]:
         """The measures of clouds, each behind the stamp that its file had then."""
-        return {
-            (CloudSource(*json.loads(row["source"])), json.loads(row["asked"])): (
-                row["stamp"],
-                CloudMeasures(*json.loads(row["look"])),
-            )
-            for row in self._rows("SELECT * FROM clouds")
-        }
+        rows = self._parsed("clouds", "source", _CLOUDS, known_cloud)
+        return {(source, voxel): (stamp, measures) for source, voxel, stamp, measures in rows}
 
     def keep_measures(self, source: CloudSource, voxel: float | None, stamp: str, measures: CloudMeasures) -> None:
         """Keep the measures of a cloud in place of earlier ones."""
@@ -169,15 +177,24 @@ class Store:
 
     def add_work(self, stage: str, seconds: float) -> None:
         """Count seconds of work that belongs to no single pair."""
-        command = (
-            "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds"
-        )
+        command = "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = ifnull(seconds, 0) + excluded.seconds"
         self._commit(command, (stage, seconds))
 
     def work(self) -> dict[str, float]:
         """Seconds of work that belongs to no single pair, by stage."""
-        rows = self._rows("SELECT stage, seconds FROM work ORDER BY rowid")
-        return {row["stage"]: row["seconds"] for row in rows}
+        return dict(self._parsed("work", "stage", _WORK, seconds_of_work))
+
+    def _parsed(self, table: str, key: str, query: str, parse: Callable[[sqlite3.Row], _Parsed]) -> list[_Parsed]:
+        """The rows of a table as they are to be; one that holds something else is noted and left out."""
+        found = []
+        for row in self._rows(query):
+            try:
+                found.append(parse(row))
+            except ValueError as error:
+                note = f"{self.folder / _DATABASE}, table {table}, {key} {row[key]!r}: {error}"
+                if note not in self.damaged:
+                    self.damaged.append(note)
+        return found
 
     def _rows(self, query: str) -> list[sqlite3.Row]:
         with self._database_errors(), closing(self._database.execute(query)) as rows:
@@ -193,7 +210,15 @@ class Store:
         try:
             yield
         except sqlite3.DatabaseError as error:
-            raise OSError(f"{self.folder / 'batch.sqlite'}: {error}") from None
+            raise OSError(f"{self.folder / _DATABASE}: {error}") from None
+
+
+def _text_or_bytes(content: bytes) -> str | bytes:
+    """A text of the database, or its bytes where they are no text."""
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        return content
 
 
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:

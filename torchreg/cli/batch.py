@@ -230,6 +230,8 @@ def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, boun
             done = f"{len(store.finished()):,} of {len(pairs):,} pairs are finished"
             complain(f"{done}; the same command resumes from there")
             raise
+    for damage in store.damaged:
+        complain(f"{damage} (the row is left out, and made again where it is needed)")
     if counts.before:
         complain(f"{counts.before:,} pairs were finished before")
     if counts.described or counts.reused:
@@ -248,6 +250,6 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     seconds = [rows[pair.name].seconds for pair in pairs]
     export(store.folder, lines, seconds)
     summary = summarize(lines, seconds, store.work())
-    write_json(store.folder / "summary.json", summary.plain())
+    write_json(store.folder / "summary.json", summary.plain(), through_link=False)
     standard_output().print(summary_table(summary))
     return summary.unreadable + summary.broken

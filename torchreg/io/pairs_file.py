@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.io.checks import excerpt, readable_file, refuse, require
+from torchreg.io.csv_cells import text_of_cell
 from torchreg.io.transform_text import checked_rigid, read_transform_text
 
 _NEEDED = ("source", "target")
@@ -59,7 +60,8 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     Cells are separated by commas, semicolons or tabs: by the first of the three under which the header, the first
     line that counts, has both needed columns. Blank lines and lines that start with ``#`` do not count. Text is
     UTF-8, with or without its byte order mark; lines end in any of the three usual ways; cells may be quoted with
-    ``"`` and then hold separators and, below the header, line ends.
+    ``"`` and then hold separators and, below the header, line ends. An apostrophe before what a spreadsheet would take
+    for a formula does not belong to the cell, as in the tables that are written here (``cell_of_text``).
 
     A pair without a name is called by its files, ``SOURCE__TARGET`` without folders and suffixes. Where that
     is taken, ``__2``, ``__3``, ... comes behind it: the first number that is free.
@@ -176,7 +178,8 @@ def _read_table(path: Path) -> list[_TableRow]:
         except csv.Error as error:
             refuse(where, "cells without quotes or within a pair of them", f"{excerpt(line.strip())} ({error})")
         require(len(cells) == len(names), where, f"{len(names)} cells, as the header has", f"{len(cells)}")
-        rows.append(_TableRow(number, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}))
+        texts = (text_of_cell(cell.strip()) for cell in cells)
+        rows.append(_TableRow(number, dict(zip(names, texts, strict=True))))
     return rows
 
 
@@ -209,7 +212,7 @@ def _columns(header: str, where: str) -> tuple[str, list[str]]:
             cells = next(csv.reader([header], delimiter=mark, strict=True))
         except csv.Error as error:
             broken, cells = str(error), []  # quotes may fit another separator
-        names[mark] = [cell.strip().lower() for cell in cells]
+        names[mark] = [text_of_cell(cell.strip().lower()) for cell in cells]
         if set(_NEEDED) <= set(names[mark]):
             break
     else:
