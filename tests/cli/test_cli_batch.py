@@ -72,6 +72,32 @@ def test_a_table_of_pairs_with_a_truth_is_registered_and_summarized(batch, room,
     assert set(summary["seconds"]) >= {"measuring clouds", "describing clouds", "matching", "hypotheses", "decision"}
 
 
+def test_a_list_of_pairs_is_registered_as_a_table_is(batch, room, tmp_path):
+    truth = read_transform_text(room.truth)
+    entry = {"name": "right", "source": str(room.source), "target": str(room.target), "effort": "fast", "voxel_m": 1}
+    (tmp_path / "pairs.json").write_text(json.dumps({"pairs": [entry | {"T": truth.tolist(), "truth": "computed"}]}))
+    assert batch(tmp_path / "pairs.json").exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    assert (line["name"], line["found"], line["effort"], line["voxel_m"]) == ("right", "true", "fast", "1")
+
+
+@pytest.mark.parametrize("points", [(), ("--points", "300")])
+def test_seeds_have_one_rule_with_points_and_without(batch, project, tmp_path, points):
+    """A whole number that 64 bits hold; beyond, the option or the column is named and no cloud is blamed."""
+    largest = 2**63 - 1
+    pair = {"source": project.folder / "c0.ply", "target": project.folder / "c1.ply", "effort": "fast"}
+    table = write_table(tmp_path / "pairs.csv", [pair])
+    assert batch(table, *points, "--seed", str(largest)).exit_code == 0
+    for seed in (largest + 1, 2**64, 10**30, -1):
+        refused = batch(table, *points, "--seed", str(seed), out="no")
+        assert refused.exit_code == 2
+        assert "--seed" in refused.stderr
+        refused = batch(write_table(tmp_path / "seeds.csv", [{**pair, "seed": seed}]), *points, out="no")
+        assert refused.exit_code == 2
+        assert "line 2: seed: expected an integer of at " in refused.stderr.replace("\n", "")
+    assert not (tmp_path / "no").exists()
+
+
 def test_a_row_has_the_kind_of_its_failure(batch, room, tmp_path):
     tr.write_cloud(tmp_path / "line.ply", tr.Clouds(torch.linspace(0, 5, 200)[:, None] * torch.tensor([1.0, 2.0, 0.5])))
     assert batch(write_table(tmp_path / "p.csv", [{"source": "line.ply", "target": room.target}])).exit_code == 0

@@ -58,6 +58,9 @@ FROM pairs
 _RECORDS = "SELECT name, record FROM pairs"
 _CLOUDS = "SELECT source, asked, stamp, look FROM clouds"
 _WORK = "SELECT stage, seconds FROM work ORDER BY rowid"
+_ADD_WORK = """
+INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = ifnull(seconds, 0) + excluded.seconds
+"""
 
 _DATABASE = "batch.sqlite"
 _OWN = (".lock", "run.json", _DATABASE, "pairs", "described")  # names in the folder that no link may stand for
@@ -177,8 +180,7 @@ class Store:
 
     def add_work(self, stage: str, seconds: float) -> None:
         """Count seconds of work that belongs to no single pair."""
-        command = "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = ifnull(seconds, 0) + excluded.seconds"
-        self._commit(command, (stage, seconds))
+        self._commit(_ADD_WORK, (stage, seconds))
 
     def work(self) -> dict[str, float]:
         """Seconds of work that belongs to no single pair, by stage."""

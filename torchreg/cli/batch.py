@@ -46,7 +46,8 @@ class PairList:
             show_default=False,
             help="A table of pairs (.csv) with the columns source and target, file names relative to its folder. "
             "Further columns: name, truth (a file or sixteen numbers), and any of these settings for that pair alone: "
-            f"{', '.join(declared(PairSettings))}.",
+            f"{', '.join(declared(PairSettings))}. Or a list (.json): under pairs, objects with the same names, the "
+            "truth as four rows of four numbers under T.",
         ),
     ] = None
     all_pairs: Annotated[
@@ -91,7 +92,7 @@ class PairList:
         return Bounds(positive(self.recall_degrees, "--recall-degrees"), self.recall_meters)
 
     def read(self, settings: PairSettings) -> tuple[Pair, ...]:
-        """The pairs of the table or of the pattern.
+        """The pairs of the table, the list or the pattern.
 
         Raises:
             ValueError: both or neither are given, or one that names no pairs.
@@ -188,7 +189,7 @@ def batch(
         ),
     ],
 ) -> None:
-    """Register every pair of PAIRS, a table with the columns source and target, and keep each as soon as it is done.
+    """Register every pair of PAIRS, a table or a list with source and target, and keep each as soon as it is done.
 
     The same command resumes a run that was cut off: no finished pair is lost or computed again. All lengths are in
     meters.
