@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import sqlite3
 from pathlib import Path
 
@@ -463,6 +464,35 @@ def test_a_disk_that_is_full_for_descriptions_ends_the_run(batch, project, tmp_p
     assert stopped.exit_code == 2
     assert "the same command resumes from there" in stopped.stderr
     assert rows_of_database(tmp_path / "out") == []
+
+
+def test_a_folder_of_descriptions_that_is_removed_ends_the_run_and_blames_no_cloud(
+    batch, project, tmp_path, monkeypatch
+):
+    from torchreg.batch import described_file
+
+    def removed(path, described):
+        shutil.rmtree(path.parent, ignore_errors=True)
+        described_file.write_described(path, described)
+
+    monkeypatch.setattr("torchreg.batch.jobs.write_described", removed)
+    stopped = batch(project.table)
+    assert stopped.exit_code == 2
+    assert "described" in stopped.stderr
+    assert "the same command resumes from there" in stopped.stderr
+    assert rows_of_database(tmp_path / "out") == []
+    monkeypatch.undo()
+    assert batch(project.table).exit_code == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"null", b"\xff", b"[" * 100_000, b'{"torchreg": "0.0"}'])
+def test_options_of_a_run_that_nobody_can_read_or_of_another_version_are_refused(batch, project, tmp_path, content):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "run.json").write_bytes(content)
+    refused = batch(project.table)
+    assert refused.exit_code == 2
+    assert "run.json" in refused.stderr or "torchreg 0.0 there" in refused.stderr
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == ["run.json"]
 
 
 def test_a_folder_in_use_is_refused(batch, project, tmp_path):

@@ -10,7 +10,9 @@ are handed over than the workers can soon take, so that thousands of pairs never
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -51,11 +53,12 @@ class RayEngine:
         if self._started:
             how: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
             try:
-                if address is not None:
-                    ray.init(address=address, **how)
-                else:
-                    with _on_loopback(ray):
-                        ray.init(address="local", num_cpus=workers, include_dashboard=False, **how)
+                with _same_handlers():
+                    if address is not None:
+                        ray.init(address=address, **how)
+                    else:
+                        with _on_loopback(ray):
+                            ray.init(address="local", num_cpus=workers, include_dashboard=False, **how)
             except Exception as error:  # Ray raises many kinds, its plain one among them
                 raise ValueError(f"address: expected a cluster that answers, got {address!r}: {error}") from None
         gpus = 0 if device == "cpu" else 1
@@ -117,6 +120,18 @@ def _on_loopback(ray: Any) -> Iterator[None]:  # noqa: ANN401
     finally:
         constants.ENABLE_RAY_CLUSTER = several
         del os.environ[_SEVERAL_MACHINES]
+
+
+@contextmanager
+def _same_handlers() -> Iterator[None]:
+    """Keep what this process does when it is terminated; Ray would exit by its own rule, with a stack of addresses."""
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if main and before is not None:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _expect_answer(address: str) -> None:

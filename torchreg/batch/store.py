@@ -238,7 +238,7 @@ def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
     try:
         then = json.loads(known.read_text())
         expect(isinstance(then, dict), str(known), "the options of a run", then)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{known}: expected the options of a run, got another file ({error})") from None
     different = differences(then, manifest)
     if different:
