@@ -30,6 +30,9 @@ _RANSAC = RansacOptions()
 LARGEST_READ = 2_000_000
 """Points that the commands take from a file as they are; a larger file is thinned to no more while it is read."""
 
+LARGEST_SEED = 2**63 - 1
+"""As PyTorch and every file format keep a whole number, in 64 bits with a sign."""
+
 
 def _length(change: Change, text: str) -> Any:  # noqa: ANN401
     return setting(None, "Lengths", text, metavar="METERS", change=change)
@@ -161,6 +164,7 @@ class StageSettings:
         "Seed of every random draw, a whole number: the same seed gives the same result.",
         metavar="NUMBER",
         least=0,
+        most=LARGEST_SEED,
     )
 
     def __post_init__(self) -> None:
@@ -169,6 +173,8 @@ class StageSettings:
                 one_of(value, name, known.choices)
             if known.least is not None:
                 at_least(value, name, known.least)
+            if known.most is not None:
+                expect(value <= known.most, name, f"an integer of at most {known.most}", value)
         viewpoint_of_text(self.viewpoint)
         self._expect_readers()
         self.over(PAPER)

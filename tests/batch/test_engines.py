@@ -57,6 +57,31 @@ def test_ray_gives_the_same_table(project, tmp_path):
     assert "6 pairs were finished before" in again.stderr
 
 
+def listening(process):
+    """The addresses that a process and those below it listen at, asked until it ends."""
+    import psutil
+
+    found, family = set(), {process.pid}
+    while process.poll() is None:
+        try:
+            family |= {child.pid for child in psutil.Process(process.pid).children(recursive=True)}
+            known = psutil.net_connections(kind="inet")
+        except psutil.Error:
+            continue
+        found |= {one.laddr.ip for one in known if one.pid in family and one.status == psutil.CONN_LISTEN}
+        time.sleep(0.2)
+    return found
+
+
+@pytest.mark.parametrize(("told", "alone"), [({}, True), ({"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "1"}, False)])
+def test_ray_listens_on_the_loopback_unless_told(project, tmp_path, told, alone):
+    process = start(project.table, "--out", tmp_path / "out", "--engine", "ray", "--workers", 1, **told)
+    addresses = listening(process)
+    assert finish(process).code == 0
+    assert addresses
+    assert all(address.removeprefix("::ffff:").startswith("127.") for address in addresses) == alone, addresses
+
+
 def children(parent, words):
     """Processes below ``parent`` whose command line holds ``words``."""
     import psutil

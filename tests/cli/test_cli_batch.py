@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import sqlite3
 from pathlib import Path
 
@@ -70,6 +71,32 @@ def test_a_table_of_pairs_with_a_truth_is_registered_and_summarized(batch, room,
     assert summary["worst"][0][0] == "swapped"
     assert "1 of 2 (50 %)" in result.stdout
     assert set(summary["seconds"]) >= {"measuring clouds", "describing clouds", "matching", "hypotheses", "decision"}
+
+
+def test_a_list_of_pairs_is_registered_as_a_table_is(batch, room, tmp_path):
+    truth = read_transform_text(room.truth)
+    entry = {"name": "right", "source": str(room.source), "target": str(room.target), "effort": "fast", "voxel_m": 1}
+    (tmp_path / "pairs.json").write_text(json.dumps({"pairs": [entry | {"T": truth.tolist(), "truth": "computed"}]}))
+    assert batch(tmp_path / "pairs.json").exit_code == 0
+    (line,) = lines_of(tmp_path / "out")
+    assert (line["name"], line["found"], line["effort"], line["voxel_m"]) == ("right", "true", "fast", "1")
+
+
+@pytest.mark.parametrize("points", [(), ("--points", "300")])
+def test_seeds_have_one_rule_with_points_and_without(batch, project, tmp_path, points):
+    """A whole number that 64 bits hold; beyond, the option or the column is named and no cloud is blamed."""
+    largest = 2**63 - 1
+    pair = {"source": project.folder / "c0.ply", "target": project.folder / "c1.ply", "effort": "fast"}
+    table = write_table(tmp_path / "pairs.csv", [pair])
+    assert batch(table, *points, "--seed", str(largest)).exit_code == 0
+    for seed in (largest + 1, 2**64, 10**30, -1):
+        refused = batch(table, *points, "--seed", str(seed), out="no")
+        assert refused.exit_code == 2
+        assert "--seed" in refused.stderr
+        refused = batch(write_table(tmp_path / "seeds.csv", [{**pair, "seed": seed}]), *points, out="no")
+        assert refused.exit_code == 2
+        assert "line 2: seed: expected an integer of at " in refused.stderr.replace("\n", "")
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_row_has_the_kind_of_its_failure(batch, room, tmp_path):
@@ -411,12 +438,12 @@ def test_a_description_that_is_damaged_is_made_again(batch, project, tmp_path):
 def test_a_full_disk_ends_the_run_and_what_is_finished_stands(batch, project, tmp_path, monkeypatch):
     write, left = store_module.write_text, [2]
 
-    def writes_until_full(path, text):
+    def writes_until_full(path, text, **how):
         if "pairs" in Path(path).parts[-2]:
             left[0] -= 1
             if left[0] < 0:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        return write(path, text)
+        return write(path, text, **how)
 
     monkeypatch.setattr(store_module, "write_text", writes_until_full)
     stopped = batch(project.table)
@@ -437,6 +464,35 @@ def test_a_disk_that_is_full_for_descriptions_ends_the_run(batch, project, tmp_p
     assert stopped.exit_code == 2
     assert "the same command resumes from there" in stopped.stderr
     assert rows_of_database(tmp_path / "out") == []
+
+
+def test_a_folder_of_descriptions_that_is_removed_ends_the_run_and_blames_no_cloud(
+    batch, project, tmp_path, monkeypatch
+):
+    from torchreg.batch import described_file
+
+    def removed(path, described):
+        shutil.rmtree(path.parent, ignore_errors=True)
+        described_file.write_described(path, described)
+
+    monkeypatch.setattr("torchreg.batch.jobs.write_described", removed)
+    stopped = batch(project.table)
+    assert stopped.exit_code == 2
+    assert "described" in stopped.stderr
+    assert "the same command resumes from there" in stopped.stderr
+    assert rows_of_database(tmp_path / "out") == []
+    monkeypatch.undo()
+    assert batch(project.table).exit_code == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"null", b"\xff", b"[" * 100_000, b'{"torchreg": "0.0"}'])
+def test_options_of_a_run_that_nobody_can_read_or_of_another_version_are_refused(batch, project, tmp_path, content):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "run.json").write_bytes(content)
+    refused = batch(project.table)
+    assert refused.exit_code == 2
+    assert "run.json" in refused.stderr or "torchreg 0.0 there" in refused.stderr
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == ["run.json"]
 
 
 def test_a_folder_in_use_is_refused(batch, project, tmp_path):

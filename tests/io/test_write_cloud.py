@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from torchreg.io import read_cloud, read_cloud_report, write_cloud
-from torchreg.io.atomic import atomic_write
+from torchreg.io.atomic import atomic_write, remove_remains
 from torchreg.types import Clouds
 
 UTM = torch.tensor([[512345.0, 5234567.0, 431.0]], dtype=torch.float64)
@@ -216,3 +216,46 @@ def test_links_and_permissions_are_kept(tmp_path):
     plain = tmp_path / "plain"
     plain.touch()
     assert real.stat().st_mode == plain.stat().st_mode
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links of POSIX")
+@pytest.mark.parametrize("kind", ["file", "folder", "nothing", "itself"])
+def test_a_link_is_replaced_where_none_is_followed(tmp_path, kind):
+    victim, link = tmp_path / "victim", tmp_path / "a.txt"
+    if kind == "file":
+        victim.write_text("precious")
+    elif kind == "folder":
+        victim.mkdir()
+    link.symlink_to(link if kind == "itself" else victim)
+    with atomic_write(link, through_link=False) as file:
+        file.write(b"new")
+    assert not link.is_symlink()
+    assert link.read_text() == "new"
+    assert (victim.read_text() if victim.is_file() else victim.is_dir()) == {"file": "precious", "folder": True}.get(
+        kind, False
+    )
+
+
+def test_a_temporary_file_takes_no_name_that_is_taken(tmp_path, monkeypatch):
+    """Not that of a file, nor of a link planted there: neither is written, nor removed afterwards."""
+    monkeypatch.setattr("torchreg.io.atomic.secrets.token_hex", lambda _: "00c0ffee")
+    victim, part = tmp_path / "victim", tmp_path / ".a.txt.00c0ffee.tmp"
+    victim.write_text("precious")
+    part.symlink_to(victim)
+    with pytest.raises(FileExistsError), atomic_write(tmp_path / "a.txt") as file:
+        file.write(b"new")
+    assert part.is_symlink()
+    assert victim.read_text() == "precious"
+    assert not (tmp_path / "a.txt").exists()
+
+
+def test_only_what_killed_writers_left_is_removed(tmp_path):
+    kept = [".other.tmp", "a.00c0ffee.tmp", ".a.txt.00c0ffee", ".a.txt.00C0FFEE.tmp", ".00c0ffee.tmp"]
+    for name in [*kept, ".a.txt.00c0ffee.tmp", ".a.01234567.tmp"]:
+        (tmp_path / name).write_text("")
+    (tmp_path / ".folder.00c0ffee.tmp").mkdir()
+    remove_remains(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == sorted([*kept, ".folder.00c0ffee.tmp"])
+    (tmp_path / ".a.01234567.tmp").write_text("")
+    remove_remains(tmp_path, older_than=3600.0)
+    assert (tmp_path / ".a.01234567.tmp").exists()

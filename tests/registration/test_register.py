@@ -218,6 +218,13 @@ def test_nothing_given_is_written_to():
     assert all(same_bits(one, other) for one, other in zip(before, pair[:2], strict=True))
 
 
+@pytest.mark.parametrize("seed", [2**63, 2**64, -(2**63) - 1, 1.5, "1"])
+def test_a_seed_that_64_bits_do_not_hold_is_refused(seed):
+    pair = room_pair(300)
+    with refuses("seed", "an integer of 64 bits"):
+        tr.register(pair.source, pair.target, ROOM, seed=seed)
+
+
 def test_the_seed_decides_and_the_global_seed_does_not():
     pair = room_pair(1200)
     hard = replace(ROOM, ransac=tr.RansacOptions(hypotheses=300, inlier_threshold=0.1, local_optimization=0))

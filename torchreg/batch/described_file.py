@@ -43,7 +43,7 @@ def write_described(path: Path, described: DescribedClouds) -> None:
     content = (described.cloud, described.features, described.spacing, described.facts, described.surfels)
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    with atomic_write(path, durable=False) as file:  # the checksum shows what a power cut damaged
+    with atomic_write(path, durable=False, through_link=False) as file:  # the checksum shows what a power cut damaged
         file.write(_checksum(path.name, buffer.getvalue()))
         file.write(buffer.getvalue())
 

@@ -10,6 +10,10 @@ from typing import Any, NamedTuple, Protocol
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 
 
+class CannotKeepError(OSError):
+    """What a piece of work made cannot be written, which is the fault of no input: all that follows would be lost."""
+
+
 class Job(NamedTuple):
     """One kind of work on items that can be pickled.
 
@@ -94,7 +98,7 @@ def attempt(work: Callable[..., Any], *arguments: Any) -> Outcome:  # noqa: ANN4
         return Outcome(work(*arguments), seconds=time.perf_counter() - begin)
     except OSError as error:
         text = f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}"
-        return Outcome(None, text, no_room=error.errno in _NO_ROOM)
+        return Outcome(None, text, no_room=isinstance(error, CannotKeepError) or error.errno in _NO_ROOM)
     except ValueError as error:
         return Outcome(None, str(error) or type(error).__name__)
     except MemoryError:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from torchreg.batch.clouds import CloudMeasures, CloudSource, measure, read_source
 from torchreg.batch.described_file import read_described, write_described
-from torchreg.batch.engine import Job
+from torchreg.batch.engine import CannotKeepError, Job
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Bounds, Row, row_of
 from torchreg.errors import expect
@@ -101,7 +101,10 @@ def _described(item: DescribeItem, loaded: DescribedClouds | Clouds, device: str
     if isinstance(loaded, DescribedClouds):
         return loaded.to(device)
     described = describe_by(loaded.to(device), [item.description])
-    write_described(Path(item.file), described.to("cpu"))
+    try:
+        write_described(Path(item.file), described.to("cpu"))
+    except (OSError, ValueError) as error:  # a full disk, a folder that was removed or is closed
+        raise CannotKeepError(f"{item.file}: {error}") from None
     return described
 
 

@@ -81,11 +81,16 @@ class Pair:
 
 
 def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
-    """The pairs that a table lists; see ``read_pairs_file`` and ``PairSettings`` for its columns.
+    """The pairs that a table or a list lists; see ``read_pairs_file`` and ``PairSettings`` for its columns.
+
+    In a table, a column whose name is nearly that of a setting is refused, as a slip of the pen. The lists that
+    programs write have names of their own, which go into the results.
 
     Raises:
-        ValueError: the table cannot be read, or a cell has no meaning; the message names the line.
+        ValueError: the file cannot be read, or a cell has no meaning; the message names the line or the pair.
     """
+    known = settings.flat()
+    by_hand = path.suffix.lower() != ".json"
     return tuple(
         Pair(
             name=row.name,
@@ -93,9 +98,11 @@ def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
             target=os.path.abspath(row.target),
             source_text=row.source_text,
             target_text=row.target_text,
-            settings=settings.with_columns(row.extra, f"{path}, line {row.line}"),
+            settings=settings.with_columns(
+                {name: text for name, text in row.extra.items() if by_hand or name in known}, row.where
+            ),
             truth=None if row.T_target_source is None else tuple(map(tuple, row.T_target_source.tolist())),
-            extra=tuple((name, text) for name, text in row.extra.items() if name not in settings.flat()),
+            extra=tuple((name, text) for name, text in row.extra.items() if name not in known),
         )
         for row in read_pairs_file(path)
     )

@@ -1,14 +1,20 @@
 """The batch engine on Ray, for one machine or a cluster: the same work, as tasks of Ray's scheduler.
 
-Ray starts a cluster of this machine by itself, or joins the one whose address is given. All its machines must see the
-clouds and the batch's folder under the same paths. A task whose process dies is tried again; no more tasks are handed
-over than the workers can soon take, so that thousands of pairs never sit in memory.
+Ray starts a cluster of this machine by itself, or joins the one whose address is given. One that is started here
+listens on the loopback alone, since whoever reaches a port of Ray can run code; any value of the variable
+``RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER`` in the environment, which is Ray's own, is left to Ray. All machines of a cluster
+must see the clouds and the batch's folder under the same paths. A task whose process dies is tried again; no more tasks
+are handed over than the workers can soon take, so that thousands of pairs never sit in memory.
 """
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
+import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from torchreg.batch.engine import Job, Outcome, load_and_compute
@@ -16,6 +22,7 @@ from torchreg.errors import at_least, expect
 
 _RETRIES = 3
 _ANSWER_SECONDS = 5.0
+_SEVERAL_MACHINES = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"  # Ray's: whether its clusters may have several
 _AHEAD = 2  # tasks in the scheduler's hands, for every worker
 
 
@@ -44,9 +51,14 @@ class RayEngine:
         self._ray, self.device = ray, device
         self._started = not ray.is_initialized()
         if self._started:
-            started: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
+            how: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
             try:
-                ray.init(address=address or "local", log_to_driver=False, logging_level="ERROR", **started)
+                with _same_handlers():
+                    if address is not None:
+                        ray.init(address=address, **how)
+                    else:
+                        with _on_loopback(ray):
+                            ray.init(address="local", num_cpus=workers, include_dashboard=False, **how)
             except Exception as error:  # Ray raises many kinds, its plain one among them
                 raise ValueError(f"address: expected a cluster that answers, got {address!r}: {error}") from None
         gpus = 0 if device == "cpu" else 1
@@ -89,6 +101,37 @@ class RayEngine:
             first = str(error).strip().splitlines()[0]
             return Outcome(None, f"its Ray worker died {_RETRIES + 1} times: {first}", expected=False)
         return outcome
+
+
+@contextmanager
+def _on_loopback(ray: Any) -> Iterator[None]:  # noqa: ANN401
+    """Make a cluster that starts in this block one of 127.0.0.1, as Ray does on systems whose firewalls ask.
+
+    Ray takes its own address wherever it is given the loopback's, unless it knows clusters of one machine alone.
+    """
+    constants, before = ray._private.ray_constants, os.environ.get(_SEVERAL_MACHINES)
+    if before is not None:
+        yield
+        return
+    several, constants.ENABLE_RAY_CLUSTER = constants.ENABLE_RAY_CLUSTER, False
+    os.environ[_SEVERAL_MACHINES] = "0"  # for the processes that it starts
+    try:
+        yield
+    finally:
+        constants.ENABLE_RAY_CLUSTER = several
+        del os.environ[_SEVERAL_MACHINES]
+
+
+@contextmanager
+def _same_handlers() -> Iterator[None]:
+    """Keep what this process does when it is terminated; Ray would exit by its own rule, with a stack of addresses."""
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if main and before is not None:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _expect_answer(address: str) -> None:

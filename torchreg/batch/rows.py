@@ -18,6 +18,7 @@ from typing import Any, BinaryIO, NamedTuple
 from torchreg.batch.pairs import Pair
 from torchreg.io import result_to_dict
 from torchreg.io.atomic import atomic_write, write_text
+from torchreg.io.csv_cells import cell_of_text
 from torchreg.metrics import pose_errors
 from torchreg.types import Clouds, RegistrationResult
 from torchreg.verification.likeliest import likeliest_pose
@@ -138,17 +139,19 @@ def row_of(
 def export(folder: Path, lines: Sequence[dict[str, Any]], seconds: Sequence[Mapping[str, float]]) -> None:
     """Write ``results.csv``, ``.json`` and ``.parquet``, and ``times.csv``, each in full or not at all.
 
-    ``lines`` are the rows of the table, ``seconds`` the times by stage, of all pairs in order.
+    ``lines`` are the rows of the table, ``seconds`` the times by stage, of all pairs in order. In the tables as CSV no
+    text is a formula of a spreadsheet (``cell_of_text``).
     """
     extra = list(dict.fromkeys(name for line in lines for name in line if name not in COLUMNS))
     names = [*COLUMNS, *extra]
     stages = list(dict.fromkeys(stage for one in seconds for stage in one))
     times = [{"name": line["name"], **one} for line, one in zip(lines, seconds, strict=True)]
-    write_text(folder / "results.csv", _csv(names, lines))
-    write_text(folder / "results.json", json.dumps(list(lines), indent=1, allow_nan=False) + "\n")
-    with atomic_write(folder / "results.parquet") as file:
+    write_text(folder / "results.csv", _csv(names, lines), through_link=False)
+    text = json.dumps(list(lines), indent=1, allow_nan=False) + "\n"
+    write_text(folder / "results.json", text, through_link=False)
+    with atomic_write(folder / "results.parquet", through_link=False) as file:
         _write_parquet(file, names, lines)
-    write_text(folder / "times.csv", _csv(["name", *stages], times))
+    write_text(folder / "times.csv", _csv(["name", *stages], times), through_link=False)
 
 
 def _line(pair: Pair, known: dict[str, Any]) -> dict[str, Any]:
@@ -186,7 +189,7 @@ def _sixteen(T: Any) -> list[float] | None:  # noqa: ANN401
 def _csv(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
+    writer.writerow(map(cell_of_text, names))
     writer.writerows([_cell(line.get(name)) for name in names] for line in lines)
     return text.getvalue()
 
@@ -194,6 +197,8 @@ def _csv(names: Sequence[str], lines: Sequence[dict[str, Any]]) -> str:
 def _cell(value: Any) -> Any:  # noqa: ANN401
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return cell_of_text(value)
     return " ".join(map(repr, value)) if isinstance(value, list) else value
 
 

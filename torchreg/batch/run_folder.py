@@ -47,7 +47,10 @@ class RunFolder:
             others = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
             if others:
                 some = ", ".join(others[:3])
-                raise ValueError(f"{folder}: expected an empty folder, or one of such a run, got one with {some}")
+                raise ValueError(f"{folder}: expected an empty folder, or one of a run like this, got one with {some}")
+        for name in (".lock", "run.json", database, "described", *folders):
+            if (folder / name).is_symlink():
+                raise ValueError(f"{folder / name}: expected a file or folder of the run itself, got a link")
         folder.mkdir(exist_ok=True)
         self._lock = FileLock(folder / ".lock")
         try:
@@ -64,7 +67,7 @@ class RunFolder:
         if known.exists():
             _expect_same_run(known, manifest)
         else:
-            write_text(known, json.dumps(manifest, indent=2) + "\n")
+            write_text(known, json.dumps(manifest, indent=2) + "\n", through_link=False)
         inside = [self.folder / name for name in folders]
         for path in inside:
             path.mkdir(exist_ok=True)
@@ -73,6 +76,7 @@ class RunFolder:
         with self._database_errors():
             self._database = sqlite3.connect(self._file)
             self._database.row_factory = sqlite3.Row
+            self._database.text_factory = _text_or_bytes
             with self._database:
                 self._database.executescript(tables)
 
@@ -87,8 +91,12 @@ class RunFolder:
 
     def rows(self, query: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
         """All rows that a query yields."""
+        return list(self.each_row(query, values))
+
+    def each_row(self, query: str, values: Sequence[Any] = ()) -> Iterator[sqlite3.Row]:
+        """The rows that a query yields, one at a time: together they may be larger than the memory."""
         with self._database_errors(), closing(self._database.execute(query, values)) as rows:
-            return list(rows)
+            yield from rows
 
     def commit(self, command: str, *rows: Sequence[Any]) -> None:
         """Carry out a command for every row of values, all or none, and keep it.
@@ -108,6 +116,14 @@ class RunFolder:
             raise OSError(f"{self._file}: {error}") from None
 
 
+def _text_or_bytes(content: bytes) -> str | bytes:
+    """A text of the database, or its bytes where they are no text."""
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        return content
+
+
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """The values that differ, in words; empty where none do."""
     names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
@@ -123,7 +139,7 @@ def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
     try:
         then = json.loads(known.read_text())
         expect(isinstance(then, dict), str(known), "the options of a run", then)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{known}: expected the options of a run, got another file ({error})") from None
     different = differences(then, manifest)
     if different:

@@ -12,11 +12,12 @@ import torch
 
 from torchreg.batch import plan
 from torchreg.batch.engine import BatchProgress, Engine, Outcome, Report, stop_without_room
+from torchreg.batch.finished import FinishedPair
 from torchreg.batch.jobs import DESCRIBE, REGISTER, DescribeItem, PairItem, Slice
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import RETRIED, Bounds, Row
 from torchreg.batch.run_folder import differences
-from torchreg.batch.store import FinishedPair, Store
+from torchreg.batch.store import Store
 from torchreg.batch.survey import Survey, lengths_stand_alone, options_of_pairs, survey_clouds
 from torchreg.errors import expect
 from torchreg.io.result_json import plain_data

@@ -5,23 +5,27 @@
     DIR/pairs/NAME.json  the whole result of one pair
     DIR/described/       descriptions of clouds, where no other folder is named for them
 
-A pair counts as finished once its row is committed, and its file is written before that.
+A pair counts as finished once its row is committed, and its file is written before that. A row that does not hold what
+was committed is as good as none: its pair is registered again.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from torchreg.batch.clouds import CloudMeasures, CloudSource
+from torchreg.batch.finished import FinishedPair, known_cloud, seconds_of_work
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Row
 from torchreg.batch.run_folder import RunFolder
 from torchreg.io.atomic import write_text
+
+_Parsed = TypeVar("_Parsed")
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS pairs (
@@ -42,19 +46,19 @@ INSERT INTO pairs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 1) ON CONFLICT (name) DO UP
     finished = excluded.finished, runs = runs + 1
 """
 
-_FINISHED = "SELECT name, state, said, options, digests, line, seconds FROM pairs"
+_FINISHED = """
+SELECT name, state, said, options, digests, line, seconds, record IS NOT NULL AS recorded,
+    CASE WHEN json_valid(record) THEN json_extract(record, '$.name') END AS name_recorded
+FROM pairs
+"""
+_RECORDS = "SELECT name, record FROM pairs"
+_CLOUDS = "SELECT source, asked, stamp, look FROM clouds"
+_WORK = "SELECT stage, seconds FROM work ORDER BY rowid"
+_ADD_WORK = """
+INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = ifnull(seconds, 0) + excluded.seconds
+"""
 
-
-class FinishedPair:
-    """The row of a pair as it was committed."""
-
-    def __init__(self, row: sqlite3.Row) -> None:
-        self.state: str = row["state"]  # as in ``Row``
-        self.text: str = row["said"]  # the pair as it was written (``Pair.text``)
-        self.options: str = row["options"]  # that it was registered with, as one text
-        self.digests: tuple[str, str] = tuple(json.loads(row["digests"]))  # of both clouds
-        self.line: dict[str, Any] = json.loads(row["line"])  # of the table
-        self.seconds: dict[str, float] = json.loads(row["seconds"])  # by stage
+_DATABASE = "batch.sqlite"
 
 
 class Store(RunFolder):
@@ -64,18 +68,23 @@ class Store(RunFolder):
         folder: made where it does not exist; the folder above it must.
         manifest: the settings of the run, plain values by name.
 
+    Attributes:
+        damaged: what rows were found to hold that they should not, each once; they were left out.
+
     Raises:
-        ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
-            in it.
+        ValueError: the folder belongs to a run of other settings or to something else, another process is at work in
+            it, or a link stands where it has a file or folder of its own.
         OSError: it cannot be written.
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
-        super().__init__(folder, manifest, database="batch.sqlite", tables=_TABLES, folders=("pairs",))
+        super().__init__(folder, manifest, database=_DATABASE, tables=_TABLES, folders=("pairs",))
+        self.damaged: list[str] = []
 
     def finished(self) -> dict[str, FinishedPair]:
         """The pairs that have a row, by name."""
-        return {row["name"]: FinishedPair(row) for row in self.rows(_FINISHED)}
+        rows = self._parsed("pairs", "name", _FINISHED, lambda row: (row["name"], FinishedPair(row)))
+        return dict(rows)
 
     def finish(self, pair: Pair, row: Row, options: str) -> None:
         """Write the file of a pair and commit its row.
@@ -91,29 +100,24 @@ class Store(RunFolder):
 
     def mend_records(self, pairs: Sequence[Pair]) -> None:
         """Write the files of finished pairs again that are missing or have been changed."""
-        rows = self.rows("SELECT name, record FROM pairs")
-        records = {row["name"]: row["record"] for row in rows}
-        for pair in pairs:
-            if pair.name in records:
-                self._write_record(pair, records[pair.name])
+        finished = self.finished()
+        of_name = {pair.name: pair for pair in pairs if pair.name in finished}
+        for row in self.each_row(_RECORDS):
+            if row["name"] in of_name:
+                self._write_record(of_name[row["name"]], row["record"])
 
     def _write_record(self, pair: Pair, record: str | None) -> None:
         """Write or remove a pair's file, where it is not as it should be."""
         path = self.folder / "pairs" / f"{pair.file_name}.json"
         if record is None:
             path.unlink(missing_ok=True)  # of an earlier run, when the clouds were others
-        elif not path.is_file() or path.read_bytes() != record.encode():
-            write_text(path, record)
+        elif path.is_symlink() or not path.is_file() or path.read_bytes() != record.encode():
+            write_text(path, record, through_link=False)
 
     def measures(self) -> dict[tuple[CloudSource, float | None], tuple[str, CloudMeasures]]:
         """The measures of clouds, each behind the stamp that its file had then."""
-        return {
-            (CloudSource(*json.loads(row["source"])), json.loads(row["asked"])): (
-                row["stamp"],
-                CloudMeasures(*json.loads(row["look"])),
-            )
-            for row in self.rows("SELECT * FROM clouds")
-        }
+        rows = self._parsed("clouds", "source", _CLOUDS, known_cloud)
+        return {(source, voxel): (stamp, measures) for source, voxel, stamp, measures in rows}
 
     def keep_measures(self, source: CloudSource, voxel: float | None, stamp: str, measures: CloudMeasures) -> None:
         """Keep the measures of a cloud in place of earlier ones."""
@@ -122,12 +126,20 @@ class Store(RunFolder):
 
     def add_work(self, stage: str, seconds: float) -> None:
         """Count seconds of work that belongs to no single pair."""
-        command = (
-            "INSERT INTO work VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds"
-        )
-        self.commit(command, (stage, seconds))
+        self.commit(_ADD_WORK, (stage, seconds))
 
     def work(self) -> dict[str, float]:
         """Seconds of work that belongs to no single pair, by stage."""
-        rows = self.rows("SELECT stage, seconds FROM work ORDER BY rowid")
-        return {row["stage"]: row["seconds"] for row in rows}
+        return dict(self._parsed("work", "stage", _WORK, seconds_of_work))
+
+    def _parsed(self, table: str, key: str, query: str, parse: Callable[[sqlite3.Row], _Parsed]) -> list[_Parsed]:
+        """The rows of a table as they are to be; one that holds something else is noted and left out."""
+        found = []
+        for row in self.rows(query):
+            try:
+                found.append(parse(row))
+            except ValueError as error:
+                note = f"{self.folder / _DATABASE}, table {table}, {key} {row[key]!r}: {error}"
+                if note not in self.damaged:
+                    self.damaged.append(note)
+        return found

@@ -38,7 +38,8 @@ class PairList:
             show_default=False,
             help="A table of pairs (.csv) with the columns source and target, file names relative to its folder. "
             "Further columns: name, truth (a file or sixteen numbers), and any of these settings for that pair alone: "
-            f"{', '.join(declared(PairSettings))}.",
+            f"{', '.join(declared(PairSettings))}. Or a list (.json): under pairs, objects with the same names, the "
+            "truth as four rows of four numbers under T.",
         ),
     ] = None
     all_pairs: Annotated[
@@ -83,7 +84,7 @@ class PairList:
         return Bounds(positive(self.recall_degrees, "--recall-degrees"), self.recall_meters)
 
     def read(self, settings: PairSettings) -> tuple[Pair, ...]:
-        """The pairs of the table or of the pattern.
+        """The pairs of the table, the list or the pattern.
 
         Raises:
             ValueError: both or neither are given, or one that names no pairs.
@@ -110,7 +111,7 @@ def batch(
         ),
     ],
 ) -> None:
-    """Register every pair of PAIRS, a table with the columns source and target, and keep each as soon as it is done.
+    """Register every pair of PAIRS, a table or a list with source and target, and keep each as soon as it is done.
 
     The same command resumes a run that was cut off: no finished pair is lost or computed again. All lengths are in
     meters.
@@ -150,6 +151,8 @@ def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, boun
             done = f"{len(store.finished()):,} of {len(pairs):,} pairs are finished"
             complain(f"{done}; the same command resumes from there")
             raise
+    for damage in store.damaged:
+        complain(f"{damage} (the row is left out, and made again where it is needed)")
     if counts.before:
         complain(f"{counts.before:,} pairs were finished before")
     if counts.described or counts.reused:
@@ -168,6 +171,6 @@ def _finish(pairs: tuple[Pair, ...], store: Store) -> int:
     seconds = [rows[pair.name].seconds for pair in pairs]
     export(store.folder, lines, seconds)
     summary = summarize(lines, seconds, store.work())
-    write_json(store.folder / "summary.json", summary.plain())
+    write_json(store.folder / "summary.json", summary.plain(), through_link=False)
     standard_output().print(summary_table(summary))
     return summary.unreadable + summary.broken

@@ -45,13 +45,13 @@ def check_outputs(outputs: Sequence[Output], inputs: Sequence[Path]) -> None:
         taken[real] = f"which {option} writes too"
 
 
-def write_json(path: Path, content: dict[str, object]) -> None:
-    """Write JSON to a file, in full or not at all, or to standard output for ``-``."""
+def write_json(path: Path, content: dict[str, object], *, through_link: bool = True) -> None:
+    """Write JSON to a file, as ``atomic_write`` does, or to standard output for ``-``."""
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     if path == STANDARD_OUTPUT:
         typer.echo(text, nl=False)
         return
-    write_text(path, text)
+    write_text(path, text, through_link=through_link)
 
 
 def standard_output(*, stderr: bool = False) -> Console:

@@ -85,8 +85,8 @@ class ScanPairs(PairFiles):
     table; columns of other names are ignored.
 
     Args:
-        path: the table.
-        root: the folder that relative file names start from; ``None``: the folder of the table.
+        path: the table, or the list of pairs as JSON.
+        root: the folder that relative file names start from; ``None``: the folder of that file.
         voxel_size: meters; each cloud is thinned by ``voxel_downsample`` right after reading. ``None`` keeps
             all points.
         viewpoint: where the scanners stood, as for ``read_cloud``.
@@ -134,8 +134,7 @@ class ScanPairs(PairFiles):
         for row in rows:
             for side, file in (("source", row.source), ("target", row.target)):
                 if not file.is_file():
-                    where = f"{os.fspath(path)}, line {row.line}"
-                    raise CloudFileError(f"{where}: expected a {side} cloud that is there, got no file {file}")
+                    raise CloudFileError(f"{row.where}: expected a {side} cloud that is there, got no file {file}")
         pairs = [FilePair(row.source, row.target, row.name, row.T_target_source) for row in rows]
         super().__init__(pairs, reader, transform)
 

@@ -1,4 +1,4 @@
-"""A list of pairs to register, as a table: one pair a line."""
+"""A list of pairs to register: a table with one pair a line, or JSON."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.io.checks import excerpt, readable_file, refuse, require
+from torchreg.io.csv_cells import text_of_cell
+from torchreg.io.pairs_json import cells_of_list
 from torchreg.io.transform_text import checked_rigid, read_transform_text
 
 _NEEDED = ("source", "target")
@@ -27,7 +29,8 @@ class PairRow:
     """One pair of a pairs file.
 
     Attributes:
-        line: where it stands in the file, counted from 1.
+        line: where it stands in the file, counted from 1: its line of a table, its place in a list.
+        where: the same in words with the file's name, for messages.
         name: different for every pair of the file.
         source: the file of the source cloud.
         target: the file of the target cloud.
@@ -39,6 +42,7 @@ class PairRow:
     """
 
     line: int
+    where: str
     name: str
     source: Path
     target: Path
@@ -49,7 +53,7 @@ class PairRow:
 
 
 def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> tuple[PairRow, ...]:
-    """Read the pairs that a table lists; whether their clouds exist is not checked.
+    """Read the pairs that a table or a list lists; whether their clouds exist is not checked.
 
     The table has the columns ``source`` and ``target`` (files of clouds) and, where wanted, ``truth`` and
     ``name``; other columns are kept as they are. A truth is sixteen numbers, row after row, with anything of
@@ -59,23 +63,28 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     Cells are separated by commas, semicolons or tabs: by the first of the three under which the header, the first
     line that counts, has both needed columns. Blank lines and lines that start with ``#`` do not count. Text is
     UTF-8, with or without its byte order mark; lines end in any of the three usual ways; cells may be quoted with
-    ``"`` and then hold separators and, below the header, line ends.
+    ``"`` and then hold separators and, below the header, line ends. An apostrophe before what a spreadsheet would take
+    for a formula does not belong to the cell, as in the tables that are written here (``cell_of_text``).
+
+    A file that ends in ``.json`` is a list: an object with, under ``pairs``, objects that have ``source``, ``target``
+    and, where wanted, ``name`` and ``T``, the true motion as four rows of four numbers; further texts and numbers are
+    kept as a table's other columns are.
 
     A pair without a name is called by its files, ``SOURCE__TARGET`` without folders and suffixes. Where that
     is taken, ``__2``, ``__3``, ... comes behind it: the first number that is free.
 
     Args:
-        path: the table.
-        root: the folder that relative file names start from; ``None`` takes the folder of the table.
+        path: the table or the list.
+        root: the folder that relative file names start from; ``None`` takes the folder of the file.
 
     Returns:
-        The pairs in the order of the table, at least one.
+        The pairs in the order of the file, at least one.
 
     Raises:
-        CloudFileError: the table cannot be read, lacks a column or has one twice, has a row of too few or too many
+        CloudFileError: the file cannot be read, lacks a column or has one twice, has a row of too few or too many
             cells or a quote that is not closed, lists nothing, leaves out a source or target, holds the same pair
             twice, or names a truth that cannot be read or is not a rigid transform. The message names the file and
-            the line.
+            the line, or the place in the list.
         ValueError: ``root`` is not a folder.
 
     Example:
@@ -89,24 +98,26 @@ def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] |
     if root is not None:
         expect(Path(root).is_dir(), "root", "a folder that exists", os.fspath(root))
     base = file.parent if root is None else Path(root)
-    table = _read_table(file)
-    require(bool(table), file, "at least one pair below the header", "none")
-    lines: dict[tuple[str, str], int] = {}
+    is_list = file.suffix.lower() == ".json"
+    table = _read_list(file) if is_list else _read_table(file)
+    require(bool(table), file, "at least one pair" if is_list else "at least one pair below the header", "none")
+    places: dict[tuple[str, str], str] = {}
     names: set[str] = set()
     pairs = []
     for row in table:
-        where = f"{file}, line {row.line}"
+        where = f"{file}, {row.place}"
         pair = _pair(row, base, names, where)
         key = (os.path.normpath(pair.source), os.path.normpath(pair.target))
-        before = lines.setdefault(key, row.line)
-        again = f"{pair.source_text}, {pair.target_text} as in line {before}"
-        require(before == row.line, where, "a pair not listed before", again)
+        before = places.setdefault(key, row.place)
+        again = f"{pair.source_text}, {pair.target_text} as in {before}"
+        require(before == row.place, where, "a pair not listed before", again)
         pairs.append(pair)
     return tuple(pairs)
 
 
 class _TableRow(NamedTuple):
     line: int  # where the row begins, counted from 1 over all lines of the file
+    place: str  # the same in words
     cells: dict[str, str]  # by the name of the column, without the white space around them
 
 
@@ -118,6 +129,7 @@ def _pair(row: _TableRow, base: Path, names: set[str], where: str) -> PairRow:
     source, target = (base / cells[column] for column in _NEEDED)
     return PairRow(
         line=row.line,
+        where=where,
         name=_name(cells.get("name", ""), f"{source.stem}__{target.stem}", names, where),
         source=source,
         target=target,
@@ -157,6 +169,13 @@ def _truth(cell: str, base: Path, where: str) -> Tensor | None:
         refuse(where, "a truth that is a rigid transform", str(error))
 
 
+def _read_list(path: Path) -> list[_TableRow]:
+    """The entries of a list as rows of a table."""
+    file = readable_file(path)
+    entries = cells_of_list(_plain_text(file), file)
+    return [_TableRow(number, f"pair {number}", cells) for number, cells in enumerate(entries, start=1)]
+
+
 def _read_table(path: Path) -> list[_TableRow]:
     """The rows of a table, the names of its columns in lower case; none where there is only a header."""
     file = readable_file(path)
@@ -176,13 +195,19 @@ def _read_table(path: Path) -> list[_TableRow]:
         except csv.Error as error:
             refuse(where, "cells without quotes or within a pair of them", f"{excerpt(line.strip())} ({error})")
         require(len(cells) == len(names), where, f"{len(names)} cells, as the header has", f"{len(cells)}")
-        rows.append(_TableRow(number, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}))
+        texts = (text_of_cell(cell.strip()) for cell in cells)
+        rows.append(_TableRow(number, f"line {number}", dict(zip(names, texts, strict=True))))
     return rows
 
 
 def _lines(file: Path) -> list[str]:
     """The lines with their ends, all of them a line feed."""
-    require(file.stat().st_size <= _LARGEST_FILE, file, "a table of text", "a file above 64 MB")
+    return [f"{line}\n" for line in _plain_text(file).split("\n")]
+
+
+def _plain_text(file: Path) -> str:
+    """The text of a file, all its line ends a line feed."""
+    require(file.stat().st_size <= _LARGEST_FILE, file, "a list of pairs", "a file above 64 MB")
     raw = file.read_bytes()
     zero = raw.find(b"\0")
     if zero >= 0:
@@ -192,8 +217,7 @@ def _lines(file: Path) -> list[str]:
     except UnicodeDecodeError as error:
         byte = f"the byte 0x{raw[error.start]:02x}"
         refuse(f"{file}, line {raw.count(10, 0, error.start) + 1}", "text in UTF-8", byte)
-    plain = text.replace("\r\n", "\n").replace("\r", "\n")
-    return [f"{line}\n" for line in plain.split("\n")]
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _counts(line: str) -> bool:
@@ -209,7 +233,7 @@ def _columns(header: str, where: str) -> tuple[str, list[str]]:
             cells = next(csv.reader([header], delimiter=mark, strict=True))
         except csv.Error as error:
             broken, cells = str(error), []  # quotes may fit another separator
-        names[mark] = [cell.strip().lower() for cell in cells]
+        names[mark] = [text_of_cell(cell.strip().lower()) for cell in cells]
         if set(_NEEDED) <= set(names[mark]):
             break
     else:

@@ -11,18 +11,17 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.io.atomic import write_text
+from torchreg.io.csv_cells import cell_of_text
 
 COLUMNS = ("scan", "group", *(f"m{row}{column}" for row in range(4) for column in range(4)))
 """Of the table: the pose is T_world_scan, row by row."""
-
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def write_poses_csv(path: str | os.PathLike[str], scans: Sequence[str], group: Tensor, T_world_scan: Tensor) -> None:
     """Write the poses of scans as CSV, in full or not at all.
 
     Numbers have as many digits as float64 needs. Where a scan is not placed, its group and pose are empty. A name that
-    a spreadsheet would take for a formula gets an apostrophe before it.
+    a spreadsheet would take for a formula gets an apostrophe before it (``cell_of_text``).
 
     Args:
         path: the file.
@@ -40,5 +39,5 @@ def write_poses_csv(path: str | os.PathLike[str], scans: Sequence[str], group: T
     writer.writerow(COLUMNS)
     for name, number, pose in zip(scans, group.tolist(), T_world_scan.flatten(1).tolist(), strict=True):
         cells = [number, *map(repr, pose)] if number >= 0 else [""] * (len(COLUMNS) - 1)
-        writer.writerow([f"'{name}" if name.startswith(_FORMULA) else name, *cells])
+        writer.writerow([cell_of_text(name), *cells])
     write_text(path, text.getvalue())

@@ -152,7 +152,7 @@ def find_poses(
     ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
     then gets a verdict of its own.
     """
-    expect(isinstance(seed, int), "seed", "an integer", seed)
+    expect(isinstance(seed, int) and -(2**63) <= seed < 2**63, "seed", "an integer of 64 bits", seed)
     facts = list(zip(source.facts, target.facts, strict=True))
     refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
     source, target = source.without(refused), target.without(refused)
