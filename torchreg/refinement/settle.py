@@ -36,7 +36,7 @@ from torchreg.refinement.tree_correspond import correspondences
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
-_FACING = 0.7  # cosine between the normals of partners at least
+_FACING = 0.7  # cosine between the normals of partners at least; of either sign where a scanner's place is not known
 _NARROWER = 0.5  # of the reach, from one update to the next
 _NEAREST = 2.0  # spacings, where the reach ends
 _MOST_UPDATES = 30
@@ -65,6 +65,9 @@ class SurfelPairs:
     def __init__(self, source: Surfels, target: Surfels, pairing: Pairing, *, colored: bool = False) -> None:
         self._colored = colored
         self.pairing = pairing
+        known = (source.cloud.viewpoint_known, target.cloud.viewpoint_known)
+        # (B,) whether partners must face the same side: else both faces of a wall would be taken for one
+        self._faced = known[0][pairing.source] & known[1][pairing.target]
         self.frames: Frames = centered_frames(source.cloud, target.cloud, pairing)
         sources = [spans(source.cloud.offsets)[number] for number in pairing.source]
         self.lengths = [end - begin for begin, end in sources]
@@ -95,11 +98,13 @@ class SurfelPairs:
         extra = self._extra if extra is None else extra
         normal = matches.partner[3:6]
         if native(extra, matches.moved) and not self._colored:
-            return _residuals_compiled(matches, rotation, extra)
+            return _residuals_compiled(matches, rotation, extra, self._faced[matches.pairs])
         x, y, z = (matches.moved - matches.partner[:3]).mul_(normal).unbind(0)
         own = turned(rotation[matches.blocks.pair], extra[:3])
         a, b, c = (own * normal).unbind(0)
-        alike = matches.inside & (a.add_(b).add_(c).abs_() > _FACING)
+        cosine = a.add_(b).add_(c)
+        faced = self._faced[matches.pairs][matches.blocks.pair, None]
+        alike = matches.inside & (torch.where(faced, cosine, cosine.abs()) > _FACING)
         return Residuals(
             distance=x.add_(y).add_(z),
             variance=(extra[3] + matches.partner[6]).clamp_(min=1e-24),
@@ -177,7 +182,7 @@ class SurfelPairs:
         )
 
 
-def _residuals_compiled(matches: Correspondence, rotation: Tensor, extra: Tensor) -> Residuals:
+def _residuals_compiled(matches: Correspondence, rotation: Tensor, extra: Tensor, faced: Tensor) -> Residuals:
     """As ``SurfelPairs.residuals``, without shades."""
     distance, variance, alike = (torch.empty_like(each) for each in (matches.square, matches.square, matches.inside))
     turned_normals = torch.empty_like(matches.moved)
@@ -189,6 +194,7 @@ def _residuals_compiled(matches: Correspondence, rotation: Tensor, extra: Tensor
         rotation.contiguous(),
         matches.blocks.pair,
         matches.inside,
+        faced.contiguous(),
         len(matches.square),
         _FACING,
         distance,

@@ -41,7 +41,8 @@ class Surfels:
     """Surfels of B clouds.
 
     Attributes:
-        cloud: B clouds of their means, in Z order, with normals of either sign, and colors where the clouds had them.
+        cloud: B clouds of their means, in Z order, with colors where the clouds had them, and with normals: turned to the
+            scanner where its place is known, else of either sign.
         variance: (P,) squared meters, of what each is the mean of, about its plane; of the points' dtype.
         spacing: B numbers, meters between neighboring surfels; 0 where a cloud has none.
     """
@@ -122,9 +123,17 @@ def _of_one(cloud: Clouds, count: int) -> Surfels:
         points=mean[kept].to(dtype),
         offsets=torch.tensor([0, int(kept.sum())]),
         colors=None if cloud.colors is None else colors[kept].to(dtype),
-        normals=normal[kept].to(dtype),
+        normals=_faced(mean[kept], normal[kept], wide).to(dtype),
     )
     return Surfels(made, variance[kept].to(dtype), (apart,))
+
+
+def _faced(points: Tensor, normals: Tensor, cloud: Clouds) -> Tensor:
+    """Normals (P, 3) at points (P, 3) turned to the scanner of a batch of one, where its place is known."""
+    if cloud.viewpoint is None or not bool(cloud.viewpoint_known.all()):
+        return normals
+    away = ((cloud.viewpoint[0] - points) * normals).sum(dim=1) < 0
+    return torch.where(away[:, None], -normals, normals)
 
 
 def _base(cloud: Clouds, edge: float | None) -> CountedVoxels:

@@ -37,16 +37,17 @@ inline double selected(std::vector<double>& values, int64_t count, int64_t k) {
 }  // namespace
 
 // Equals `SurfelPairs.residuals` without shades: moved (3, n, 256), partner (A, n, 256) with normal and variance from
-// column 3 on, extra (E, n, 256) normal and variance of the source, rotation (B, 3, 3), pair (n), inside (n, 256); least
-// cosine between normals. Writes distance, variance (n, 256), normals (3, n, 256) of the
+// column 3 on, extra (E, n, 256) normal and variance of the source, rotation (B, 3, 3), pair (n), inside (n, 256),
+// faced (B) whether the sign of normals counts; least cosine between normals. Writes distance, variance (n, 256), normals (3, n, 256) of the
 // source, turned, and alike (n, 256).
 KERNEL(surfel_residuals, const double* moved, const double* partner, const double* extra, const double* rotation,
-                        const int64_t* pair, const bool* inside, int64_t n, double facing, double* distance,
-                        double* variance, double* normals, bool* alike, int64_t threads) {
+                        const int64_t* pair, const bool* inside, const bool* faced, int64_t n, double facing,
+                        double* distance, double* variance, double* normals, bool* alike, int64_t threads) {
     const int64_t stride = n * BLOCK;
     parallel(threads, n, 16, [&](int64_t begin, int64_t end, int64_t) {
         for (int64_t block = begin; block < end; ++block) {
             const double* R = rotation + 9 * pair[block];
+            const bool signs = faced[pair[block]];
             const int64_t from = block * BLOCK, to = from + BLOCK;
             for (int64_t r = from; r < to; ++r) {
                 double along[3], facings[3];
@@ -61,7 +62,8 @@ KERNEL(surfel_residuals, const double* moved, const double* partner, const doubl
                 distance[r] = (along[0] + along[1]) + along[2];
                 const double both = extra[3 * stride + r] + partner[6 * stride + r];
                 variance[r] = both < 1e-24 ? 1e-24 : both;
-                alike[r] = inside[r] && std::abs((facings[0] + facings[1]) + facings[2]) > facing;
+                const double cosine = (facings[0] + facings[1]) + facings[2];
+                alike[r] = inside[r] && (signs ? cosine : std::abs(cosine)) > facing;
             }
         }
     });
