@@ -38,7 +38,7 @@ VIEWPOINT_ELEMENT = f"{VIEWPOINT_PREFIX}:viewpoint"
 _BRIGHTEST = 255
 
 
-class _Scan(NamedTuple):
+class _ScanNode(NamedTuple):
     name: str
     local: NDArray[Any]  # (N, 3) float64, in the scan's frame
     cloud: Clouds  # for its colors and normals
@@ -57,7 +57,7 @@ def write_e57(file: BinaryIO, cloud: Clouds, dtype: torch.dtype, fields: PointFi
     """Write one cloud as a file of one scan."""
     known = cloud.viewpoint is not None and bool(cloud.viewpoint_known[0])
     zero = cloud.viewpoint[0] if cloud.viewpoint is not None and known else -cloud.origin[0]  # (3,) of the coordinates
-    scan = _Scan(
+    scan = _ScanNode(
         name="scan",
         local=(cloud.points - zero).detach().numpy(),
         cloud=cloud,
@@ -73,7 +73,7 @@ def write_e57_scans(file: BinaryIO, scans: Iterable[PosedScan]) -> None:
     _write(
         file,
         (
-            _Scan(
+            _ScanNode(
                 name=scan.name,
                 local=scan.cloud.points.numpy(),
                 cloud=scan.cloud,
@@ -86,7 +86,7 @@ def write_e57_scans(file: BinaryIO, scans: Iterable[PosedScan]) -> None:
     )
 
 
-def _write(file: BinaryIO, scans: Iterable[_Scan]) -> None:
+def _write(file: BinaryIO, scans: Iterable[_ScanNode]) -> None:
     """Write a file of scans. libE57Format opens files by name: it is made beside the one given."""
     pye57 = package(Path(file.name), "pye57", "pye57")
     with tempfile.TemporaryDirectory(dir=Path(file.name).parent, prefix=".e57-") as folder:
@@ -102,7 +102,7 @@ def _write(file: BinaryIO, scans: Iterable[_Scan]) -> None:
             shutil.copyfileobj(content, file, 1 << 20)
 
 
-def _write_scan(libe57: Any, made: Any, scan: _Scan) -> None:  # noqa: ANN401
+def _write_scan(libe57: Any, made: Any, scan: _ScanNode) -> None:  # noqa: ANN401
     image = made.image_file
     node = libe57.StructureNode(image)
     node.set("guid", libe57.StringNode(image, f"{{{uuid.uuid4()}}}"))
@@ -125,7 +125,7 @@ def _write_scan(libe57: Any, made: Any, scan: _Scan) -> None:  # noqa: ANN401
     _write_rows(libe57, image, points, fields)
 
 
-def _fields(libe57: Any, image: Any, scan: _Scan) -> list[_Field]:  # noqa: ANN401
+def _fields(libe57: Any, image: Any, scan: _ScanNode) -> list[_Field]:  # noqa: ANN401
     local, intensity = scan.local, scan.fields.intensity_to(None)
     fields = [_Field(f"cartesian{axis}", local[:, i], libe57.FloatNode(image, 0.0)) for i, axis in enumerate("XYZ")]
     levels, normals = color_levels(scan.cloud, _BRIGHTEST), normals_of(scan.cloud)
