@@ -83,7 +83,10 @@ def test_every_cube_is_one_point_of_the_scan_that_has_most_in_it(monkeypatch, ro
     merged = merged_cloud(scans, placed(poses, [0] * 4), spacing=0.15)
     expected = by_cubes(scans, poses, 0.15)
     assert len(merged.cloud.points) == len(expected)
-    found = {tuple(np.round(p, 4)): s for p, s in zip(merged.cloud.points.double().numpy(), merged.scan.tolist())}
+    found = {
+        tuple(np.round(p, 4)): s
+        for p, s in zip(merged.cloud.points.double().numpy(), merged.scan.tolist(), strict=True)
+    }
     near = sum(found.get(point) == scan for point, scan in expected.items())
     assert near > 0.98 * len(expected)  # the others are rounded to another fourth digit
 

@@ -30,6 +30,7 @@ from torchreg.io.ptx_writer import write_ptx_scans
 from torchreg.io.stream import ScanStream
 from torchreg.io.text import read_named_text, read_text
 from torchreg.io.text_writer import write_csv, write_xyz
+from torchreg.io.unread import unread_e57, unread_las, unread_ply, unread_ptx
 from torchreg.types import Clouds
 
 Scan = RawCloud | ScanStream
@@ -64,6 +65,7 @@ class CloudFormat:
         write_scans: where a file may hold many scans, each with its pose.
         read_columns: where the format does not always say what its columns are.
         keeps: what a file that is written keeps of a cloud.
+        unread: what a file that is read holds besides, a few words each; ``None`` for formats that hold no more.
     """
 
     suffixes: tuple[str, ...]
@@ -74,6 +76,7 @@ class CloudFormat:
     write_scans: ScansWriter | None = None
     read_columns: ColumnReader | None = None
     keeps: Capacity = USUAL
+    unread: Callable[[Path], tuple[str, ...]] | None = None
 
 
 _LAS = Capacity(
@@ -88,6 +91,7 @@ FORMATS = (
         write=write_ply,
         write_fields=write_ply,
         keeps=Capacity(fields=("intensity", "scan")),
+        unread=unread_ply,
     ),
     CloudFormat(
         suffixes=(".pcd",),
@@ -104,9 +108,16 @@ FORMATS = (
         write_fields=write_e57,
         write_scans=write_e57_scans,
         keeps=Capacity(fields=("intensity",)),
+        unread=unread_e57,
     ),
     CloudFormat(
-        suffixes=(".las",), words="LAS, by laspy", read=read_las, write=write_las, write_fields=write_las, keeps=_LAS
+        suffixes=(".las",),
+        words="LAS, by laspy",
+        read=read_las,
+        write=write_las,
+        write_fields=write_las,
+        keeps=_LAS,
+        unread=unread_las,
     ),
     CloudFormat(
         suffixes=(".laz",),
@@ -115,6 +126,7 @@ FORMATS = (
         write=write_laz,
         write_fields=write_laz,
         keeps=_LAS,
+        unread=unread_las,
     ),
     CloudFormat(
         suffixes=(".ptx",),
@@ -122,6 +134,7 @@ FORMATS = (
         read=read_ptx,
         write_scans=write_ptx_scans,
         keeps=Capacity(normals=False, fields=("intensity",), intensity=1.0),
+        unread=unread_ptx,
     ),
     CloudFormat(
         suffixes=(".xyz", ".txt", ".asc"),
@@ -155,6 +168,7 @@ FIELDS_WRITERS = {
 }
 SCANS_WRITERS = {suffix: row.write_scans for row in FORMATS if row.write_scans is not None for suffix in row.suffixes}
 CAPACITIES = {suffix: row.keeps for row in FORMATS if row.write or row.write_scans for suffix in row.suffixes}
+UNREAD = {suffix: row.unread for row in FORMATS if row.unread is not None for suffix in row.suffixes}
 
 COLUMN_READERS = {
     suffix: row.read_columns for row in FORMATS if row.read_columns is not None for suffix in row.suffixes
