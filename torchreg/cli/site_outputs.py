@@ -56,8 +56,8 @@ class SiteOutputs:
             "--placed",
             metavar="DIR|FILE.e57",
             help="Write every placed scan with its new pose, at full resolution: into a folder, each as what it came "
-            "(E57 and PTX with poses in their headers, others with their points moved), or the scans of the largest group "
-            f"into one {alternatives(SCANS_WRITERS)} file.",
+            "(E57 and PTX with poses in their headers, others with their points moved), or the scans of the largest "
+            f"group into one {alternatives(SCANS_WRITERS)} file.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
