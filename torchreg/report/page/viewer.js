@@ -396,6 +396,6 @@
   });
   window.addEventListener("resize", () => redraw());
   look("oblique");
-  clouds.reduce((before, cloud) => before.then(() => unpack(cloud)).then(() => redraw()), Promise.resolve())
+  clouds.reduce((before, cloud) => before.then(() => unpack(cloud)).then(() => redraw(true)), Promise.resolve())
     .then(() => (root.dataset.unpacked = "true"), (error) => give(`its points cannot be unpacked (${error.message})`));
 })();
