@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from torchreg.io.foreign import package, refusing
 from torchreg.io.ply_header import read_header, vertices_of
 
 _OF_E57 = ("cartesian", "spherical", "color", "nor:normal", "intensity", "isColorInvalid", "isIntensityInvalid")
+_NAMED = 8  # of what is left out
 _OF_PLY = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"}
 
 
@@ -28,7 +29,7 @@ def _of_e57(file: Any, libe57: Any) -> Iterator[str]:  # noqa: ANN401
     root = file.root
     pictures = root["images2D"].childCount() if root.isDefined("images2D") else 0
     if pictures:
-        yield f"{pictures:,} pictures are left out"
+        yield "pictures are left out"
     if root.isDefined("coordinateMetadata") and str(root["coordinateMetadata"].value()).strip():
         yield "the coordinate system is left out"
     names: dict[str, None] = {}
@@ -37,7 +38,7 @@ def _of_e57(file: Any, libe57: Any) -> Iterator[str]:  # noqa: ANN401
         names |= dict.fromkeys(prototype.get(k).elementName() for k in range(prototype.childCount()))
     others = [name for name in names if not name.startswith(_OF_E57)]
     if others:
-        yield f"the fields {', '.join(others)} are left out"
+        yield _left_out("field", others)
 
 
 def unread_las(path: Path) -> tuple[str, ...]:
@@ -56,10 +57,16 @@ def unread_ply(path: Path) -> tuple[str, ...]:
     place, _ = vertices_of(header, path)
     names = [one.name for one in header.elements[place].properties if one.name.lower() not in _OF_PLY]
     elements = [one.name for number, one in enumerate(header.elements) if number != place and one.rows]
-    found = (("properties", names), ("elements", elements))
-    return tuple(f"the {what} {', '.join(those[:8])} are left out" for what, those in found if those)
+    found = (("property", names), ("element", elements))
+    return tuple(_left_out(what, those) for what, those in found if those)
 
 
 def unread_ptx(path: Path) -> tuple[str, ...]:
     """The grid of a PTX file."""
     return ("the grid of columns and rows is left out",)
+
+
+def _left_out(what: str, names: Sequence[str]) -> str:
+    """Such as "left out, by property: red, alpha"."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"left out, by {what}: {', '.join(names[:_NAMED])}{more}"

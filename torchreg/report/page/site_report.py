@@ -87,7 +87,9 @@ def verdict(reported: ReportedSite) -> str:
 
 def attention(reported: ReportedSite) -> str:
     """What to look at first."""
-    lines = [*missing_lines(reported.site, reported.names), *doubts(reported.site, reported.names)]
+    plain = [f"scan {number}" for number in range(len(reported.names))]
+    names = [one if name == one else f"{one} ({name})" for one, name in zip(plain, reported.names, strict=True)]
+    lines = [*missing_lines(reported.site, names), *doubts(reported.site, names)]
     return markup.section("What to look at first", markup.listing(lines))
 
 

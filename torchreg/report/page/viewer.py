@@ -119,8 +119,8 @@ def viewer_html(
             _bar("height", "Height above the lowest point", ("", "", "")),
             '<p class="viewer-help">Drag: turn. Shift or right button, or two fingers: move. Wheel or pinch: zoom. '
             "Arrow keys, + and - do the same.</p>",
-            '<p class="viewer-missing" hidden>The 3D view cannot be drawn: <span></span>. All else on this page needs '
-            "neither.</p>",
+            '<p class="viewer-missing" hidden>The 3D view cannot be drawn: <span></span>. The rest of the page '
+            "does not need it.</p>",
             "<noscript><p>The 3D view needs JavaScript, which this page carries itself.</p></noscript>",
             f'<script type="application/json">{block}</script>',
             f"<script>\n{_file('viewer.js')}</script>",
