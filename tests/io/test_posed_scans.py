@@ -167,7 +167,17 @@ def test_a_point_at_the_scanner_of_ptx_is_no_lost_beam(tmp_path):
     cloud = tr.Clouds(torch.tensor([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]))
     write_scans(tmp_path / "a.ptx", [posed_scan(cloud, FAR)])
     (file,) = read_scans(tmp_path / "a.ptx", dtype=torch.float64)
-    assert (whole(file.cloud) - apply(FAR, cloud.points.double())).abs().max() < 1e-8
+    assert (whole(file.cloud) - apply(FAR, cloud.points.double())).abs().max() < 1e-6
+
+
+@pytest.mark.parametrize("scanner", SCANNERS)
+@pytest.mark.parametrize("suffix", SCANS_WRITERS)
+def test_a_file_that_makes_more_of_the_scanner_than_is_known_says_so(tmp_path, suffix, scanner):
+    cloud = survey(scanner=scanner)
+    write_scans(tmp_path / f"a{suffix}", [posed_scan(cloud, FAR)])
+    (file,) = read_scans(tmp_path / f"a{suffix}")
+    claimed = bool(file.cloud.viewpoint_known[0]) and not bool(cloud.viewpoint_known[0])
+    assert any("as if it were known" in loss for loss in CAPACITIES[suffix].losses(cloud)) == claimed
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):

@@ -131,7 +131,8 @@ def site(
     out.mkdir(exist_ok=True)
     write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
     write_json(out / "site.json", site_to_dict(result, names, seed=seed))
-    written = [out / "poses.csv", out / "site.json", *write_site_outputs(outputs, result, read, reading.reading())]
+    written = [out / "poses.csv", out / "site.json"]
+    written += write_site_outputs(outputs, result, read, reading.reading(), written)
     _show(result, names)
     complain(f"wrote {', '.join(map(str, written))}")
     if not bool(result.placed.all()) or int(result.group.max()) > 0:

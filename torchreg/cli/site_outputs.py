@@ -121,10 +121,19 @@ def check_site_outputs(outputs: SiteOutputs, scans: Sequence[Path], out: Path) -
     check_outputs(files, scans)
 
 
+class _Work(NamedTuple):
+    outputs: SiteOutputs
+    result: SiteResult
+    scans: Sequence[ReadScan]
+    reading: Reading
+    before: Sequence[Path]
+
+
 def write_site_outputs(
-    outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading
+    outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading, before: Sequence[Path]
 ) -> list[Path]:
-    """Write what is asked for beside the poses; returns the files."""
+    """Write what is asked for beside the files that were written ``before``; returns files and folders."""
+    work = _Work(outputs, result, scans, reading, before)
     written = []
     for path, write in (
         (outputs.merged, _write_merged),
@@ -137,48 +146,38 @@ def write_site_outputs(
         if not bool(result.placed.any()) and write is not _write_report:
             complain(f"{path} not written: no scan is placed")
             continue
-        written += write(path, outputs, result, scans, reading)
+        write(path, work)
+        written.append(path)
     return written
 
 
-def _write_merged(
-    path: Path, outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading
-) -> list[Path]:
+def _write_merged(path: Path, work: _Work) -> None:
     with step(f"writing {path.name}"):
-        merged = merged_cloud([scan.cloud for scan in scans], result, spacing=outputs.spacing)
+        merged = merged_cloud([scan.cloud for scan in work.scans], work.result, spacing=work.outputs.spacing)
         fields = PointFields(scan=merged.scan)
         write_cloud(path, merged.cloud, fields=fields)
     for loss in CAPACITIES[path.suffix.lower()].losses(merged.cloud, fields):
         complain(f"{path}: {loss}")
-    return [path]
 
 
-def _write_redwood(
-    path: Path, outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading
-) -> list[Path]:
-    first = (result.group == 0).nonzero()[:, 0]
-    write_redwood_trajectory(path, first.tolist(), result.T_world_scan[first])
-    return [path]
+def _write_redwood(path: Path, work: _Work) -> None:
+    first = (work.result.group == 0).nonzero()[:, 0]
+    write_redwood_trajectory(path, first.tolist(), work.result.T_world_scan[first])
 
 
-def _write_placed(
-    path: Path, outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading
-) -> list[Path]:
-    inputs = [InputScan(scan.path, scan.argument) for scan in scans]
+def _write_placed(path: Path, work: _Work) -> None:
+    outputs = work.outputs
+    inputs = [InputScan(scan.path, scan.argument) for scan in work.scans]
     others = [one for one in (outputs.merged, outputs.redwood, outputs.report) if one is not None]
-    write_placed(path, _suffix(outputs), inputs, result, reading, others)
-    return [path]
+    write_placed(path, _suffix(outputs), inputs, work.result, work.reading, [*others, *work.before])
 
 
-def _write_report(
-    path: Path, outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading
-) -> list[Path]:
+def _write_report(path: Path, work: _Work) -> None:
     from torchreg.report.page.site_report import write_site_report
 
     with step(f"writing {path.name}"):
-        names = _short([scan.name for scan in scans])
-        write_site_report(path, result, [scan.cloud for scan in scans], names=names)
-    return [path]
+        names = _short([scan.name for scan in work.scans])
+        write_site_report(path, work.result, [scan.cloud for scan in work.scans], names=names)
 
 
 def _suffix(outputs: SiteOutputs) -> str | None:

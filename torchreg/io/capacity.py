@@ -22,6 +22,7 @@ class Capacity:
         brightest: the whole number that stands for full brightness; ``None`` where colors stay as they are.
         normals: whether normals are kept.
         scanner: whether the position of the scanner is kept, and whether it is known or assumed.
+        claims_scanner: whether a file says where the scanner stood even where nobody knows.
         fields: which of ``PointFields`` are kept, by name.
         intensity: where the scale of intensities ends, which begins at 0; ``None`` where any numbers are kept.
         step: of the coordinates that a cloud gets, in meters, or ``None`` for a cloud that loses no digit; without
@@ -31,6 +32,7 @@ class Capacity:
     brightest: int | None = 255
     normals: bool = True
     scanner: bool = True
+    claims_scanner: bool = False
     fields: tuple[str, ...] = ()
     intensity: float | None = None
     step: Callable[[Clouds], float | None] | None = None
@@ -51,6 +53,9 @@ class Capacity:
         if cloud.viewpoint is not None and not self.scanner:
             words = "assumed" if bool(cloud.viewpoint_assumed[0]) else "known"
             found.append(f"the position of the scanner, which is {words}, is left out")
+        if self.claims_scanner and not bool(cloud.viewpoint_known[0]):
+            words = "only assumed" if bool(cloud.viewpoint_assumed[0]) else "not known"
+            found.append(f"the position of the scanner, which is {words}, is written as if it were known")
         return (*found, *(() if fields is None else self._lost_fields(fields)))
 
     def _lost_fields(self, fields: PointFields) -> Iterator[str]:

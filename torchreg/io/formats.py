@@ -133,7 +133,7 @@ FORMATS = (
         words="PTX, of one scan or many",
         read=read_ptx,
         write_scans=write_ptx_scans,
-        keeps=Capacity(normals=False, fields=("intensity",), intensity=1.0),
+        keeps=Capacity(normals=False, claims_scanner=True, fields=("intensity",), intensity=1.0),
         unread=unread_ptx,
     ),
     CloudFormat(

@@ -1,7 +1,7 @@
 """PTX, scan after scan: a header with the pose, and one column of points; ``ptx`` says what the lines mean.
 
-Colors have 8 bits and intensities go from 0 to 1; there is no place for normals and names. Where the scanner stands is
-the translation of the pose.
+Coordinates have steps of 0.1 micrometers, colors 8 bits, and intensities go from 0 to 1; there is no place for normals
+and names. Where the scanner stands is the translation of the pose.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torchreg.io.posed import PosedScan
 from torchreg.io.written import color_levels, expect_finite
 
 _UNKNOWN = 0.5  # the intensity of points that have none, as other programs write it
-_BESIDE_ZERO = 1e-9  # meters: "0 0 0" would be a beam without a return
+_DECIMALS = 7  # of coordinates in meters
 
 
 def write_ptx_scans(file: BinaryIO, scans: Iterable[PosedScan]) -> None:
@@ -33,9 +33,9 @@ def _write_scan(file: BinaryIO, scan: PosedScan) -> None:
     import pyarrow
     import pyarrow.csv
 
-    points = scan.cloud.points.numpy().copy()  # (N, 3)
-    expect_finite(points, "PTX")
-    points[~points.any(axis=1), 2] = _BESIDE_ZERO
+    expect_finite(scan.cloud.points.numpy(), "PTX")
+    points = np.round(scan.cloud.points.numpy(), _DECIMALS)  # (N, 3)
+    points[~points.any(axis=1), 2] = 10.0**-_DECIMALS  # "0 0 0" would be a beam without a return
     intensity, levels = scan.fields.intensity_to(1.0), color_levels(scan.cloud, 255)
     columns = [*points.T, np.full(len(points), _UNKNOWN) if intensity is None else intensity]
     columns += [] if levels is None else list(levels.astype(np.uint8).T)

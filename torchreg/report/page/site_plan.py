@@ -76,14 +76,18 @@ def site_plan(
         across = (canvas.size[0] - 180) * (number + 0.5) / len(missing) + 150
         places[scan] = np.array((across, canvas.size[1] - 24))
     used = [one for one in site.links if one.used and one.link.source in places and one.link.target in places]
-    refused, left = _refused(site, places)
+    best = _best(site)
+    refused, left = _refused(site, places, best)
     top = _nice(max((one.link.residual for one in used if math.isfinite(one.link.residual)), default=0.0))
     width, height = canvas.size
     parts = [
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="Plan of the scans and their links">',
         _shadow(canvas, shadow),
         '<g class="refused">',
-        *(_line(places, pair.source, pair.target, "#777", _refused_words(site, pair)) for pair in refused),
+        *(
+            _line(places, pair.source, pair.target, "#777", _refused_words(pair, best.get((pair.source, pair.target))))
+            for pair in refused
+        ),
         "</g>",
         '<g class="used">',
         *(
@@ -217,10 +221,11 @@ def _apart(true: NDArray[Any], gap: float, size: tuple[float, ...]) -> NDArray[A
     return shown
 
 
-def _refused(site: SiteResult, places: dict[int, NDArray[Any]]) -> tuple[list[TriedPair], int]:
+def _refused(
+    site: SiteResult, places: dict[int, NDArray[Any]], best: dict[tuple[int, int], float]
+) -> tuple[list[TriedPair], int]:
     """The likeliest pairs that no used link joins, between scans of the plan, and how many more there are."""
     joined = {(one.link.source, one.link.target) for one in site.links if one.used}
-    best = _best(site)
     pairs = [
         pair
         for pair in site.pairs
@@ -232,6 +237,7 @@ def _refused(site: SiteResult, places: dict[int, NDArray[Any]]) -> tuple[list[Tr
 
 
 def _best(site: SiteResult) -> dict[tuple[int, int], float]:
+    """The probability of the likeliest candidate of each pair that has one, by source and target."""
     best: dict[tuple[int, int], float] = {}
     for one in site.links:
         key = one.link.source, one.link.target
@@ -239,8 +245,7 @@ def _best(site: SiteResult) -> dict[tuple[int, int], float]:
     return best
 
 
-def _refused_words(site: SiteResult, pair: TriedPair) -> str:
-    best = _best(site).get((pair.source, pair.target))
+def _refused_words(pair: TriedPair, best: float | None) -> str:
     likely = f" Its best candidate has a probability of {chance(best)}." if best is not None else ""
     return f"scans {pair.source} and {pair.target}, no link: {pair.reason or CONTRADICTED}.{likely}"
 

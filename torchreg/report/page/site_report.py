@@ -24,6 +24,7 @@ from torchreg.types import Clouds
 
 _SHOWN = 20  # rows of a table; the others are folded
 
+_LISTED = 5000  # pairs without a link
 _DRAWN = 4  # groups, the largest first
 
 
@@ -187,8 +188,9 @@ def refused(reported: ReportedSite) -> str:
     rows.sort(key=lambda row: tuple(map(int, row[0].split(" - "))))
     if not rows:
         return ""
-    table = markup.columns(("scans", "reason", "candidates"), rows)
-    heading = f"{counted(len(rows), 'pair')} of scans without a link"
+    table = markup.columns(("scans", "reason", "candidates"), rows[:_LISTED])
+    more = f", the first {_LISTED:,}; site.json has all" if len(rows) > _LISTED else ""
+    heading = f"{counted(len(rows), 'pair')} of scans without a link{more}"
     return markup.section("Other pairs", markup.folded(heading, table))
 
 
