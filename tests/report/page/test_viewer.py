@@ -134,3 +134,13 @@ def test_the_style_knows_the_classes_of_the_view():
                 assert f".{attributes['class']}" in viewer_style()
     assert f"const BLOCK = {BLOCK};" in page.text("script")
     assert len(set(PALETTE)) == len(PALETTE)
+
+
+def test_a_million_points_of_surfaces_with_colors_take_some_ten_megabytes():
+    draw = np.random.default_rng(0)
+    points = draw.uniform(0, 1, (60_000, 3)) * [20, 12, 3]
+    points[np.arange(60_000), draw.integers(0, 3, 60_000)] = 0  # three walls of a hall
+    shade = np.repeat(0.5 + 0.4 * np.sin(points[:, :1] + points[:, 1:2]), 3, axis=1) + draw.normal(0, 0.02, (60_000, 3))
+    text = viewer_html([cloud(points=points, colors=np.clip(shade, 0, 1), poses=[np.eye(4)])])
+    bare = viewer_html([cloud(0, poses=[np.eye(4)])])
+    assert (len(text) - len(bare)) / 60_000 < 10.5  # bytes a point; 12 as plain base64
