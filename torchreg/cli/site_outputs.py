@@ -121,7 +121,7 @@ def check_site_outputs(outputs: SiteOutputs, scans: Sequence[Path], out: Path) -
     check_outputs(files, scans)
 
 
-class _Work(NamedTuple):
+class _SiteWork(NamedTuple):
     outputs: SiteOutputs
     result: SiteResult
     scans: Sequence[ReadScan]
@@ -133,7 +133,7 @@ def write_site_outputs(
     outputs: SiteOutputs, result: SiteResult, scans: Sequence[ReadScan], reading: Reading, before: Sequence[Path]
 ) -> list[Path]:
     """Write what is asked for beside the files that were written ``before``; returns files and folders."""
-    work = _Work(outputs, result, scans, reading, before)
+    work = _SiteWork(outputs, result, scans, reading, before)
     written = []
     for path, write in (
         (outputs.merged, _write_merged),
@@ -151,7 +151,7 @@ def write_site_outputs(
     return written
 
 
-def _write_merged(path: Path, work: _Work) -> None:
+def _write_merged(path: Path, work: _SiteWork) -> None:
     with step(f"writing {path.name}"):
         merged = merged_cloud([scan.cloud for scan in work.scans], work.result, spacing=work.outputs.spacing)
         fields = PointFields(scan=merged.scan)
@@ -160,19 +160,19 @@ def _write_merged(path: Path, work: _Work) -> None:
         complain(f"{path}: {loss}")
 
 
-def _write_redwood(path: Path, work: _Work) -> None:
+def _write_redwood(path: Path, work: _SiteWork) -> None:
     first = (work.result.group == 0).nonzero()[:, 0]
     write_redwood_trajectory(path, first.tolist(), work.result.T_world_scan[first])
 
 
-def _write_placed(path: Path, work: _Work) -> None:
+def _write_placed(path: Path, work: _SiteWork) -> None:
     outputs = work.outputs
     inputs = [InputScan(scan.path, scan.argument) for scan in work.scans]
     others = [one for one in (outputs.merged, outputs.redwood, outputs.report) if one is not None]
     write_placed(path, _suffix(outputs), inputs, work.result, work.reading, [*others, *work.before])
 
 
-def _write_report(path: Path, work: _Work) -> None:
+def _write_report(path: Path, work: _SiteWork) -> None:
     from torchreg.report.page.site_report import write_site_report
 
     with step(f"writing {path.name}"):
