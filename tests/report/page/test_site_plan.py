@@ -137,8 +137,12 @@ def test_floors_stand_one_above_another():
     assert heights[0].min() > heights[1].max() >= heights[1].min() > heights[2].max()
     assert "3.0 m higher" in markup
     assert "6.0 m higher" in markup
-    flat, _ = hall([(4 * x, 0, 0.1 * x) for x in range(5)])
-    assert "higher" not in drawn(site_of(hall([(4 * x, 0, 0.1 * x) for x in range(5)])[1], []), flat)[1]
+
+
+@pytest.mark.parametrize("rise", [0.1, 0.8, 1.5])
+def test_rising_ground_has_no_floors(rise):
+    scans, poses = hall([(4 * x, y, rise * x) for x in range(8) for y in (0, 2)])
+    assert "higher" not in drawn(site_of(poses, []), scans)[1]
 
 
 def test_the_shape_of_the_plan_is_that_of_the_site_turned_to_its_walls():
@@ -165,6 +169,16 @@ def test_scans_that_are_not_placed_stand_below_with_their_reason():
     assert drawing.circles[2][1] > max(drawing.circles[0][1], drawing.circles[1][1])
     assert any("not placed: too few points" in text for _, text in drawing.titles)
     assert any("no overlap" in text for kind, text in drawing.titles if kind == "refused")
+
+
+def test_many_scans_that_are_not_placed_stand_in_rows():
+    scans, poses = hall([(0, 0, 0), (4, 0, 0)])
+    empty = tr.Clouds(torch.zeros(0, 3))
+    gone = torch.cat([poses, torch.full((150, 4, 4), torch.nan, dtype=torch.float64)])
+    drawing, _ = drawn(site_of(gone, [], group=[0, 0] + [-1] * 150), [*scans, *[empty] * 150], missing=range(2, 152))
+    assert len(drawing.circles) == 152
+    for (x1, y1, r1), (x2, y2, r2) in itertools.combinations(drawing.circles.values(), 2):
+        assert math.hypot(x2 - x1, y2 - y1) >= r1 + r2
 
 
 def test_the_table_tells_where_a_link_is_weak():
