@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
+import zlib
 from html.parser import HTMLParser
 
 import numpy as np
 
+BLOCK = 4096  # points, as viewer.js has it
 _VOID = {"meta", "img", "input", "br", "link", "hr"}
 
 
@@ -53,14 +55,23 @@ class Page(HTMLParser):
 
 
 def drawn_points(cloud, state):
-    """The points (N, 3) of one cloud of a view, as its script places them in a state."""
-    places = np.frombuffer(base64.b64decode(cloud["positions"]), dtype="<u2").reshape(-1, 3)
+    """The points (N, 3) of one cloud of a view, as its script places them in a state, in the order of the script."""
+    planes = _inflated(cloud["places"]).reshape(3, 2, -1).astype(int)
+    steps = (planes[:, 0] + 256 * planes[:, 1]).T  # (N, 3)
+    blocks = np.array(cloud["blocks"]).reshape(-1, 4)
+    parts = [steps[begin : begin + BLOCK].cumsum(axis=0) % 65536 for begin in range(0, len(steps), BLOCK)]
+    places = [low[:3] + low[3] * part for low, part in zip(blocks, parts, strict=True)]
     pose = np.array(cloud["poses"][state])
-    points = np.array(cloud["low"]) + np.array(cloud["step"]) * places
-    return points @ pose[:3, :3].T + pose[:3, 3]
+    return (np.concatenate(places) if places else np.empty((0, 3))) @ pose[:3, :3].T + pose[:3, 3]
 
 
 def drawn_bytes(cloud, name):
-    """The colors (N, 3) or the scalars (N,) of one cloud of a view, from 0 to 255."""
-    values = np.frombuffer(base64.b64decode(cloud[name]), dtype=np.uint8)
-    return values.reshape(-1, 3) if name == "colors" else values
+    """The colors (N, 3) or the scalars (N,) of one cloud of a view, from 0 to 255, likewise."""
+    planes = _inflated(cloud[name]).reshape(-1, cloud["count"]).T.astype(int)
+    parts = [planes[begin : begin + BLOCK].cumsum(axis=0) % 256 for begin in range(0, len(planes), BLOCK)]
+    values = np.concatenate(parts)
+    return values if name == "colors" else values[:, 0]
+
+
+def _inflated(text):
+    return np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8)

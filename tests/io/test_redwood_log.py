@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from problems import random_transform, seeded
 
 from torchreg.errors import CloudFileError
-from torchreg.io.redwood_log import read_redwood_info, read_redwood_log
+from torchreg.io.redwood_log import read_redwood_info, read_redwood_log, write_redwood_trajectory
 
 TURN = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
 
@@ -83,3 +84,18 @@ def test_information_refused(tmp_path):
 
 def test_missing(tmp_path):
     assert refused(tmp_path / "gt.log") == ": expected a file, got nothing of this name"
+
+
+def test_open3d_reads_a_trajectory(tmp_path):
+    from torchreg.open3d_loader import load_open3d
+
+    poses = torch.stack([random_transform(seeded(seed)) for seed in range(3)])
+    write_redwood_trajectory(tmp_path / "a.log", [0, 2, 5], poses)
+    found = load_open3d().io.read_pinhole_camera_trajectory(str(tmp_path / "a.log")).parameters
+    assert len(found) == 3
+    for one, pose in zip(found, poses, strict=True):
+        assert abs(torch.linalg.inv(pose) - torch.tensor(one.extrinsic)).max() < 1e-9  # from the world to the camera
+    lines = (tmp_path / "a.log").read_text().splitlines()
+    assert lines[5] == "2 2 3"
+    with pytest.raises(ValueError, match="T_world_scan"):
+        write_redwood_trajectory(tmp_path / "a.log", [0, 2], poses)

@@ -16,8 +16,8 @@ from torchreg.cli.wording import by_options
 from torchreg.io import CloudFile, Reading, read_cloud_report, write_cloud
 from torchreg.io.formats import CAPACITIES, WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
+from torchreg.io.written import narrowest
 from torchreg.settings import Settings
-from torchreg.types import Clouds
 
 SourcePath = Annotated[Path, typer.Argument(metavar="FROM", help=f"The cloud to read: {formats_in_words()}.")]
 TargetPath = Annotated[
@@ -59,18 +59,12 @@ def convert(
     )
     with reading_bar(source.name) as progress:
         report = read_cloud_report(source, scan=scan, reading=reading, progress=progress)
-    cloud = _narrowest(report.cloud)
+    cloud = narrowest(report.cloud)
     with step(f"writing {target.name}"):
         write_cloud(target, cloud)
     lines = [f"{target}: {_contents(report)}", *(f"note: {by_options(note)}" for note in report.notes)]
     lines += [f"not kept: {loss}" for loss in (*CAPACITIES[target.suffix.lower()].losses(cloud), *_left(report))]
     standard_output().print("\n".join(lines), soft_wrap=True)
-
-
-def _narrowest(cloud: Clouds) -> Clouds:
-    """The cloud in single precision where its coordinates have no more digits, so that files do not grow."""
-    narrow = cloud.to(dtype=torch.float32)
-    return narrow if torch.equal(narrow.points.double(), cloud.points) else cloud
 
 
 def _contents(report: CloudFile) -> str:

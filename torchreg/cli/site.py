@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -15,25 +14,22 @@ from torchreg.batch.described_file import computing_versions
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
-from torchreg.cli.output import Output, check_outputs, standard_output, write_json
-from torchreg.cli.progress import batch_progress, step
+from torchreg.cli.output import standard_output, write_json
+from torchreg.cli.progress import batch_progress
+from torchreg.cli.site_outputs import SiteOutputs, check_site_outputs, write_site_outputs
 from torchreg.cli.wording import by_options
 from torchreg.cli.work import Work
-from torchreg.errors import expect, one_of, positive
-from torchreg.io import Reading, write_cloud
-from torchreg.io.formats import WRITERS, alternatives, formats_in_words
+from torchreg.errors import one_of
+from torchreg.io import Reading
+from torchreg.io.formats import formats_in_words
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
-from torchreg.report import REPORT_SUFFIXES
 from torchreg.report.text import plain
 from torchreg.settings import LARGEST_READ, Settings
-from torchreg.site.files import FileScans
-from torchreg.site.merged import merged_cloud
 from torchreg.site.result import SiteResult
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.site_json import site_to_dict
 from torchreg.site.store import SiteStore
-from torchreg.types import Clouds
 from torchreg.verification import WORK
 
 ScanPaths = Annotated[
@@ -75,41 +71,6 @@ class HowToRead:
             at_most=None if self.voxel is not None else LARGEST_READ,
             intensity=self.intensity,
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class SiteOutputs:
-    """What is written beside poses.csv and site.json."""
-
-    merged: Annotated[
-        Path | None,
-        typer.Option(
-            "--merged",
-            metavar="FILE.ply",
-            help="Write the scans of the largest group as one cloud, thinned, coordinates in meters, as a "
-            f"{alternatives(WRITERS)} file.",
-            rich_help_panel=opt.OUTPUT,
-        ),
-    ] = None
-    spacing: Annotated[
-        float,
-        typer.Option(
-            "--spacing",
-            metavar="METERS",
-            help="Edge in meters of the cubes over which the points of --merged are averaged.",
-            rich_help_panel=opt.OUTPUT,
-        ),
-    ] = 0.02
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            "--report",
-            metavar="FILE.html",
-            help="Write one page with verdict, tables of scans and links, and all scans in 3D, lengths in meters, as a "
-            f"{alternatives(REPORT_SUFFIXES)} file that opens without a network.",
-            rich_help_panel=opt.OUTPUT,
-        ),
-    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,7 +135,7 @@ def site(
     one_of(effort, "--effort", tuple(WORK))
     work.check()
     shard = sharing.chosen()
-    _check(scans, outputs, out)
+    check_site_outputs(outputs, scans, out)
     how = reading.reading()
     manifest = {
         **computing_versions(),
@@ -210,7 +171,8 @@ def site(
     result = replace(result, reason=_worded(result.reason), notes=tuple(map(_worded, result.notes)))
     write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
     write_json(out / "site.json", site_to_dict(result, names, seed=seed))
-    written = [out / "poses.csv", out / "site.json", *_write(outputs, result, names, FileScans(run.found.sources))]
+    written = [out / "poses.csv", out / "site.json"]
+    written += write_site_outputs(outputs, result, run.found, how, written)
     _show(result, names)
     complain(f"wrote {', '.join(map(str, written))}")
     if not bool(result.placed.all()) or int(result.group.max()) > 0:
@@ -219,43 +181,6 @@ def site(
 
 def _worded(texts: Sequence[str]) -> tuple[str, ...]:
     return tuple(by_options(text) for text in texts)
-
-
-def _check(scans: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
-    """Check before the work begins that everything can be written."""
-    positive(outputs.spacing, "--spacing")
-    fits = out.absolute().parent.is_dir() and (not out.exists() or out.is_dir())
-    expect(fits, "--out", "a folder, or a name for one in a folder that exists", str(out))
-    files = (
-        Output("--merged", outputs.merged, tuple(WRITERS)),
-        Output("--report", outputs.report, REPORT_SUFFIXES),
-        *(Output("--out", out / name) for name in ("poses.csv", "site.json") if out.is_dir()),
-    )
-    check_outputs(files, scans)
-
-
-def _write(outputs: SiteOutputs, result: SiteResult, names: Sequence[str], clouds: Sequence[Clouds]) -> list[Path]:
-    """Write what is asked for beside the poses; returns the files."""
-    from torchreg.report.page.site_report import write_site_report
-
-    written = []
-    if outputs.merged is not None and not bool(result.placed.any()):
-        complain(f"{outputs.merged} not written: no scan is placed")
-    elif outputs.merged is not None:
-        with step(f"writing {outputs.merged.name}"):
-            write_cloud(outputs.merged, merged_cloud(clouds, result, spacing=outputs.spacing))
-        written.append(outputs.merged)
-    if outputs.report is not None:
-        with step(f"writing {outputs.report.name}"):
-            write_site_report(outputs.report, result, clouds, names=_short(names))
-        written.append(outputs.report)
-    return written
-
-
-def _short(names: Sequence[str]) -> list[str]:
-    """The names without the folder that all share."""
-    folder = os.path.commonpath([os.path.dirname(os.path.abspath(name)) for name in names])
-    return [os.path.relpath(name, folder) for name in names]
 
 
 def _show(result: SiteResult, names: Sequence[str]) -> None:

@@ -1,10 +1,12 @@
 """Clouds and results in and out: files, and Open3D's types."""
 
 from torchreg.io.assemble import CloudFile
-from torchreg.io.cloud_file import read_cloud, read_cloud_report, read_scans, write_cloud
+from torchreg.io.cloud_file import each_scan, read_cloud, read_cloud_report, read_scans, write_cloud, write_scans
+from torchreg.io.fields import PointFields
 from torchreg.io.formats import CLOUD_SUFFIXES
 from torchreg.io.open3d_clouds import from_open3d, to_open3d
 from torchreg.io.pairs_file import PairRow, read_pairs_file
+from torchreg.io.posed import PosedScan, posed_scan
 from torchreg.io.reading import Reading
 from torchreg.io.result_json import result_to_dict, write_result_json
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
@@ -16,8 +18,12 @@ __all__ = [
     "TRANSFORM_FORMATS",
     "CloudFile",
     "PairRow",
+    "PointFields",
+    "PosedScan",
     "Reading",
+    "each_scan",
     "from_open3d",
+    "posed_scan",
     "read_cloud",
     "read_cloud_report",
     "read_pairs_file",
@@ -28,5 +34,6 @@ __all__ = [
     "verification_to_dict",
     "write_cloud",
     "write_result_json",
+    "write_scans",
     "write_transform_text",
 ]

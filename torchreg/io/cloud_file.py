@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,10 @@ from torchreg.errors import expect
 from torchreg.geometry.se3 import transform
 from torchreg.io.assemble import CloudFile
 from torchreg.io.atomic import atomic_write
-from torchreg.io.formats import WRITERS, alternatives
+from torchreg.io.fields import PointFields
+from torchreg.io.formats import FIELDS_WRITERS, SCANS_WRITERS, WRITERS, alternatives
 from torchreg.io.placement import Viewpoint
+from torchreg.io.posed import PosedScan
 from torchreg.io.reading import Reading, checked_scan, chosen_scan, finished, scans_of, with_points
 from torchreg.io.stream import Progress
 from torchreg.io.transform_text import checked_rigid
@@ -103,6 +106,17 @@ def read_cloud_report(
     return finished(Path(path), chosen, reading, progress)
 
 
+def each_scan(
+    path: str | os.PathLike[str], *, reading: Reading | None = None, progress: Progress | None = None
+) -> Iterator[CloudFile]:
+    """Read the scans of a file as ``read_scans`` does, one after another: memory is for the one that is looked at."""
+    reading = Reading() if reading is None else reading
+    scans, notes = with_points(Path(path), scans_of(path, reading.columns))
+    for _, one in scans:
+        file = finished(Path(path), one, reading, progress)
+        yield replace(file, notes=(*file.notes, *notes))
+
+
 def read_scans(
     path: str | os.PathLike[str],
     *,
@@ -137,12 +151,12 @@ def read_scans(
         [(5, None)]
     """
     reading = Reading(viewpoint=viewpoint, dtype=dtype) if reading is None else reading
-    scans, notes = with_points(Path(path), scans_of(path, reading.columns))
-    files = [finished(Path(path), one, reading, progress) for _, one in scans]
-    return [replace(file, notes=(*file.notes, *notes)) for file in files]
+    return list(each_scan(path, reading=reading, progress=progress))
 
 
-def write_cloud(path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None = None) -> None:
+def write_cloud(
+    path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None = None, fields: PointFields | None = None
+) -> None:
     """Write one cloud to a file, in full or not at all; its format follows from the suffix.
 
     Coordinates are written in meters with the origin added. What comes back by ``read_cloud``:
@@ -170,18 +184,46 @@ def write_cloud(path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None
         cloud: a batch of one.
         T: (4, 4) rigid, ``T_to_from``, origins included; applied in float64 to points, normals and viewpoint
             first. With a result's ``T_target_source[0]`` this writes the source aligned to the target.
+        fields: intensities and numbers of scans of the points. PLY, LAS and LAZ keep both, E57 the intensity; other
+            formats leave them out.
 
     Raises:
         ValueError: another suffix, a batch of several clouds, a matrix that is not rigid, no such folder, points
-            that are not finite in LAS or LAZ.
+            that are not finite in LAS or LAZ, fields of another number of points.
         CloudFileError: a package that writes the format is not installed.
     """
-    writer = WRITERS.get(Path(path).suffix.lower())
+    suffix = Path(path).suffix.lower()
+    writer = WRITERS.get(suffix)
     if writer is None:
         raise ValueError(f"path: expected a name that ends in {alternatives(WRITERS)}, got {os.fspath(path)!r}")
     expect(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
     wide = cloud.to(device="cpu", dtype=torch.float64)
     if T is not None:
         wide = transform(wide, torch.from_numpy(checked_rigid(T, "T")))
+    with_fields = None if fields is None else FIELDS_WRITERS.get(suffix)
     with atomic_write(path) as file:
-        writer(file, wide, cloud.points.dtype)
+        if with_fields is None:
+            writer(file, wide, cloud.points.dtype)
+        else:
+            with_fields(file, wide, cloud.points.dtype, fields.checked(len(wide.points)) if fields else None)
+
+
+def write_scans(path: str | os.PathLike[str], scans: Iterable[PosedScan]) -> None:
+    """Write scans to one file of a format that holds many, E57 or PTX, in full or not at all.
+
+    Each scan stays in a frame of its own, and its pose stands beside it. Scans are taken one after another, so that
+    memory is for one of them. What a format keeps is in its row (``formats.CAPACITIES``).
+
+    Args:
+        path: a name that ends in ``.e57`` or ``.ptx``.
+        scans: such as ``posed_scan`` makes them; at least one.
+
+    Raises:
+        ValueError: another suffix, no scan, no such folder, points that are not finite in PTX.
+        CloudFileError: a package that writes the format is not installed.
+    """
+    writer = SCANS_WRITERS.get(Path(path).suffix.lower())
+    if writer is None:
+        raise ValueError(f"path: expected a name that ends in {alternatives(SCANS_WRITERS)}, got {os.fspath(path)!r}")
+    with atomic_write(path) as file:
+        writer(file, scans)

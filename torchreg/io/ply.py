@@ -25,11 +25,12 @@ from torchreg.io.columns import (
     record_size,
     surplus,
 )
-from torchreg.io.placement import FAR_COORDINATE
+from torchreg.io.fields import PointFields
 from torchreg.io.ply_header import PlyElement, PlyHeader, read_header, vertices_of
 from torchreg.io.ply_lists import ListRows, columns_of_list_lines
 from torchreg.io.splats import holds_splats, raw_from_splats
 from torchreg.io.viewpoint_line import viewpoint_line
+from torchreg.io.written import global_points, needs_doubles
 from torchreg.types import Clouds
 
 
@@ -52,11 +53,10 @@ def read_ply(path: Path) -> Iterator[RawCloud]:
     yield make(str(path), f"ply {header.encoding}", columns, header.scanner, (*notes, *more))
 
 
-def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
+def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype, fields: PointFields | None = None) -> None:
     """Write one cloud as ``write_cloud`` describes it: doubles where floats would lose a digit, else floats."""
-    points = (cloud.points + cloud.origin).detach().numpy()  # (N, 3) float64
-    far = bool(cloud.origin.any()) or (len(points) > 0 and float(np.abs(points).max()) > FAR_COORDINATE)
-    precise = dtype == torch.float64 or far
+    points = global_points(cloud)
+    precise = needs_doubles(cloud, points, dtype)
     groups: list[tuple[tuple[str, ...], str, NDArray[Any]]] = [
         (("x", "y", "z"), "<f8" if precise else "<f4", points),
     ]
@@ -65,11 +65,15 @@ def write_ply(file: BinaryIO, cloud: Clouds, dtype: torch.dtype) -> None:
     if cloud.colors is not None:
         levels = np.round(np.clip(cloud.colors.detach().numpy(), 0, 1) * 255)
         groups.append((("red", "green", "blue"), "<u1", levels))
+    if fields is not None and fields.intensity is not None:
+        groups.append((("intensity",), "<f4", fields.intensity.numpy()[:, None]))
+    if fields is not None and fields.scan is not None:  # as int: Open3D skips 16 bits
+        groups.append((("scan",), "<i4", fields.scan.numpy()[:, None]))
     table = np.empty(len(points), dtype=[(name, kind) for names, kind, _ in groups for name in names])
     for names, _, values in groups:
         for i, name in enumerate(names):
             table[name] = values[:, i]
-    words = {"<f8": "double", "<f4": "float", "<u1": "uchar"}
+    words = {"<f8": "double", "<f4": "float", "<i4": "int", "<u1": "uchar"}
     header = [
         "ply",
         "format binary_little_endian 1.0",

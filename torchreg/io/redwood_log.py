@@ -1,9 +1,10 @@
-"""True motions between fragments, as Redwood and 3DMatch write them: ``gt.log`` and ``gt.info``.
+"""True motions between fragments, as Redwood and 3DMatch write them, ``gt.log`` and ``gt.info``; trajectories.
 
 A ``.log`` file repeats a header ``i j n`` (two fragments, and how many there are) and four lines of a 4 x 4
 matrix. The matrix takes points of fragment j into the frame of fragment i: Open3D's benchmark of such folders
 registers i onto j and writes the inverse of what it finds. An ``.info`` file has six lines of a 6 x 6 matrix
-instead: the information of that motion, by which the benchmark weighs errors.
+instead: the information of that motion, by which the benchmark weighs errors. A trajectory has the same form with a
+header ``i i i+1`` over the pose of each frame i in the world.
 
 Choi, Zhou and Koltun, Robust Reconstruction of Indoor Scenes, CVPR 2015, doi:10.1109/CVPR.2015.7299195;
 http://redwood-data.org/indoor/fileformat.html.
@@ -12,13 +13,15 @@ http://redwood-data.org/indoor/fileformat.html.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from torchreg.errors import expect
+from torchreg.io.atomic import write_text
 from torchreg.io.checks import count_of, excerpt, readable_file, refuse, require
 from torchreg.io.transform_text import checked_rigid
 
@@ -65,6 +68,25 @@ def read_redwood_info(path: str | os.PathLike[str]) -> dict[tuple[int, int], Ten
         require(bool(matrix.isfinite().all()), where, "finite numbers", "others among those below")
         matrices[i, j] = matrix
     return matrices
+
+
+def write_redwood_trajectory(path: str | os.PathLike[str], numbers: Sequence[int], T_world_scan: Tensor) -> None:
+    """Write poses as a trajectory, as Redwood's and Open3D's programs read it; in full or not at all.
+
+    Args:
+        path: the file.
+        numbers: of N scans, which the headers name.
+        T_world_scan: (N, 4, 4) rigid, meters: x_world = R x_scan + t.
+
+    Raises:
+        ValueError: another number of poses, or no such folder.
+    """
+    expect(T_world_scan.shape == (len(numbers), 4, 4), "T_world_scan", f"({len(numbers)}, 4, 4)", T_world_scan)
+    blocks = [
+        f"{number} {number} {number + 1}\n" + "".join(f"{' '.join(map(repr, row))}\n" for row in pose)
+        for number, pose in zip(numbers, T_world_scan.double().tolist(), strict=True)
+    ]
+    write_text(path, "".join(blocks))
 
 
 def _blocks(path: Path, size: int) -> Iterator[tuple[int, int, int, list[list[float]]]]:

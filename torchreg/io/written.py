@@ -13,6 +13,12 @@ from torchreg.io.placement import FAR_COORDINATE
 from torchreg.types import Clouds
 
 
+def narrowest(cloud: Clouds) -> Clouds:
+    """The cloud in single precision where its coordinates have no more digits, so that files do not grow."""
+    narrow = cloud.to(dtype=torch.float32)
+    return narrow if torch.equal(narrow.points.double(), cloud.points) else cloud
+
+
 def global_points(cloud: Clouds) -> NDArray[Any]:
     """The points (N, 3) float64 in the frame of the file: the origin added."""
     points: NDArray[Any] = (cloud.points + cloud.origin).detach().numpy()

@@ -41,8 +41,8 @@ class Surfels:
     """Surfels of B clouds.
 
     Attributes:
-        cloud: B clouds of their means, in Z order, with colors where the clouds had them, and with normals: turned to the
-            scanner where its place is known, else of either sign.
+        cloud: B clouds of their means, in Z order, with colors where the clouds had them, and with normals: turned to
+            the scanner where its place is known, else of either sign.
         variance: (P,) squared meters, of what each is the mean of, about its plane; of the points' dtype.
         spacing: B numbers, meters between neighboring surfels; 0 where a cloud has none.
     """

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections.abc import Sequence
 
 import torch
 
-from torchreg.report.text import legible
-from torchreg.site.result import SiteLink, SiteResult
+from torchreg.report.text import distance, legible
+from torchreg.site.bridges import bridges
+from torchreg.site.result import SiteResult
 
-_SHOWN = 5
+_SHOWN, _FEW = 5, 3
+_ENOUGH = 4  # of which one can be unusual
+_MUCH = 3.0  # times the median
 
 
 def summary_of(site: SiteResult, names: Sequence[str] | None = None) -> str:
@@ -54,25 +59,58 @@ def missing_lines(site: SiteResult, names: Sequence[str] | None = None) -> list[
 
 
 def doubts(site: SiteResult, names: Sequence[str] | None = None) -> list[str]:
-    """What to look at first: scans that hang by one link alone."""
+    """What to look at first: what hangs by one link alone, links that pull against others, and what is held worst."""
     label = _labels(site, names)
+    return [*_hanging(site, label), *_pulling(site, label), *_loose(site, label)]
+
+
+def _hanging(site: SiteResult, label: Sequence[str]) -> list[str]:
+    """A line for every link without which the site would fall apart, the least likely first."""
+    used = [one.link for one in site.links if one.used]
+    parts = sorted(bridges([(link.source, link.target) for link in used], len(site)), key=lambda bridge: bridge.number)
+    parts.sort(key=lambda bridge: used[bridge.number].probability)
     lines = []
-    by_scan: dict[int, list[SiteLink]] = {}
-    for link in site.links:
-        if link.used:
-            by_scan.setdefault(link.link.source, []).append(link)
-            by_scan.setdefault(link.link.target, []).append(link)
-    weak = [scan for scan, links in sorted(by_scan.items()) if len(links) == 1]
-    for scan in weak[:_SHOWN]:
-        only = by_scan[scan][0].link
-        other = only.source if only.target == scan else only.target
+    for bridge in parts[:_SHOWN]:
+        link = used[bridge.number]
+        inside = link.source if link.source in bridge.smaller else link.target
+        other = link.target if inside == link.source else link.source
+        who = label[inside] if len(bridge.smaller) == 1 else f"{len(bridge.smaller)} scans, {label[inside]} among them,"
+        verb = "hangs" if len(bridge.smaller) == 1 else "hang"
         lines.append(
-            f"{label[scan]} hangs by one link, to {label[other]} (probability {only.probability:.2f}): "
-            "no other confirms it"
+            f"{who} {verb} by one link, to {label[other]} (probability {link.probability:.2f}): no other confirms it"
         )
-    if len(weak) > _SHOWN:
-        lines.append(f"and {len(weak) - _SHOWN} more scans hang by one link")
+    if len(parts) > _SHOWN:
+        lines.append(f"more links that hold a part of the site alone: {len(parts) - _SHOWN}")
     return lines
+
+
+def _pulling(site: SiteResult, label: Sequence[str]) -> list[str]:
+    """Links that are off by much more than most, and than their own residual."""
+    used = [one for one in site.links if one.used and math.isfinite(one.meters)]
+    if len(used) < _ENOUGH:
+        return []
+    usual = statistics.median(one.meters for one in used)
+    far = [one for one in used if one.meters > _MUCH * usual and not one.meters <= _MUCH * one.link.residual]
+    far.sort(key=lambda one: -one.meters)
+    return [
+        f"the link of {label[one.link.source]} and {label[one.link.target]} is off by {distance(one.meters)}, most by "
+        f"{distance(usual)}: it pulls against its neighbors"
+        for one in far[:_FEW]
+    ]
+
+
+def _loose(site: SiteResult, label: Sequence[str]) -> list[str]:
+    """The scans whose place is known much worse than that of most."""
+    deviation = site.covariance[:, 3:, 3:].diagonal(dim1=1, dim2=2).sum(dim=1).sqrt().tolist()
+    known = [scan for scan, value in enumerate(deviation) if math.isfinite(value) and value > 0]
+    if len(known) < _ENOUGH:
+        return []
+    usual = statistics.median(deviation[scan] for scan in known)
+    worst = sorted((scan for scan in known if deviation[scan] > _MUCH * usual), key=lambda scan: -deviation[scan])
+    return [
+        f"{label[scan]} is held loosely: its place is known to {distance(deviation[scan])}, most to {distance(usual)}"
+        for scan in worst[:_FEW]
+    ]
 
 
 def _labels(site: SiteResult, names: Sequence[str] | None) -> list[str]:

@@ -36,11 +36,13 @@ class FoundScans(NamedTuple):
 
     Attributes:
         names: of every scan; the path of its file, with its name or number there where the file has several.
+        files: of every scan, the path of its file and the place of that among those given: one may be given twice.
         sources: where each is read; ``None`` where the file cannot be read.
         scans: what is known of each.
     """
 
     names: tuple[str, ...]
+    files: tuple[tuple[str, int], ...]
     sources: tuple[ScanSource | None, ...]
     scans: SiteScans
 
@@ -88,6 +90,7 @@ def scans_in_files(
             store.keep_seen(items[place], outcome.value)
         report(SiteProgress("look", len(seen) + len(trouble), len(items)))
     names: list[str] = []
+    given: list[tuple[str, int]] = []
     sources: list[ScanSource | None] = []
     looks, reasons, notes = [], [], []
     for place, item in enumerate(items):
@@ -98,13 +101,14 @@ def scans_in_files(
         for one in rows:
             several = len(rows) > 1 and one is not None
             names.append(f"{item.path} [{one.name or one.number}]" if several and one is not None else item.path)
+            given.append((item.path, place))
             sources.append(None if one is None else ScanSource(item.path, one.number, reading))
             looks.append(None if one is None else look_of_text(one.look))
             reasons.append(trouble.get(place, ""))
             notes.append(() if one is None else one.notes)
     scans = site_scans(looks, reasons)
     remarks = tuple((*first, *more) for first, more in zip(notes, scans.notes, strict=True))
-    return FoundScans(tuple(names), tuple(sources), SiteScans(scans.looks, scans.trouble, remarks))
+    return FoundScans(tuple(names), tuple(given), tuple(sources), SiteScans(scans.looks, scans.trouble, remarks))
 
 
 class StoredWork:

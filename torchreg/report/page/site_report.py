@@ -7,20 +7,25 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import torch
+
 from torchreg.errors import at_least, expect
 from torchreg.io.atomic import write_text
 from torchreg.io.result_json import versions
 from torchreg.report.page import markup
 from torchreg.report.page.report import REPORT_SUFFIXES, page_html
+from torchreg.report.page.site_frame import GroupFrame, group_frame
+from torchreg.report.page.site_plan import CONTRADICTED, site_plan
 from torchreg.report.page.site_space import site_space
 from torchreg.report.site_text import doubts, missing_lines, verdict_lines
-from torchreg.report.text import chance, counted, decimal, distance
+from torchreg.report.text import chance, counted, decimal, distance, millimeters
 from torchreg.site.result import SiteLink, SiteResult
 from torchreg.types import Clouds
 
 _SHOWN = 20  # rows of a table; the others are folded
 
-_CONTRADICTED = "its pose contradicts those of its neighbors"
+_LISTED = 5000  # pairs without a link
+_DRAWN = 4  # groups, the largest first
 
 
 class ReportedSite(NamedTuple):
@@ -30,6 +35,8 @@ class ReportedSite(NamedTuple):
     scans: Sequence[Clouds]
     names: Sequence[str]
     max_points: int
+    frames: Sequence[GroupFrame]
+    """Of the groups that are drawn, the largest first."""
 
 
 def write_site_report(
@@ -38,7 +45,7 @@ def write_site_report(
     scans: Sequence[Clouds],
     *,
     names: Sequence[str] | None = None,
-    max_points: int = 400_000,
+    max_points: int = 1_000_000,
 ) -> None:
     """Write a page on a site to a file, in full or not at all: verdict, scans, links with their reasons, and a 3D view.
 
@@ -58,14 +65,15 @@ def write_site_report(
 
 
 def site_report_html(
-    site: SiteResult, scans: Sequence[Clouds], *, names: Sequence[str] | None = None, max_points: int = 400_000
+    site: SiteResult, scans: Sequence[Clouds], *, names: Sequence[str] | None = None, max_points: int = 1_000_000
 ) -> str:
     """The page; arguments and errors as of ``write_site_report``."""
     at_least(max_points, "max_points", 1)
     labels = [f"scan {number}" for number in range(len(site))] if names is None else list(names)
     for name, given in (("scans", scans), ("names", labels)):
         expect(len(given) == len(site), name, f"one per scan ({len(site)})", len(given))
-    reported = ReportedSite(site, scans, labels, max_points)
+    frames = [group_frame(site, scans, group) for group in range(min(int(site.group.max()) + 1, _DRAWN))]
+    reported = ReportedSite(site, scans, labels, max_points, frames)
     return page_html(f"torchreg: a site of {counted(len(site), 'scan')}", [make(reported) for make in SITE_SECTIONS])
 
 
@@ -80,13 +88,27 @@ def verdict(reported: ReportedSite) -> str:
 
 def attention(reported: ReportedSite) -> str:
     """What to look at first."""
-    lines = [*missing_lines(reported.site, reported.names), *doubts(reported.site, reported.names)]
+    plain = [f"scan {number}" for number in range(len(reported.names))]
+    names = [one if name == one else f"{one} ({name})" for one, name in zip(plain, reported.names, strict=True)]
+    lines = [*missing_lines(reported.site, names), *doubts(reported.site, names)]
     return markup.section("What to look at first", markup.listing(lines))
+
+
+def plan(reported: ReportedSite) -> str:
+    """The graph of scans from above, group by group."""
+    site = reported.site
+    missing = (site.group < 0).nonzero()[:, 0].tolist()
+    plans = [
+        markup.paragraph(f"Group {group}", "title") * (len(reported.frames) > 1)
+        + site_plan(site, frame, reported.scans, reported.names, missing if group == 0 else ())
+        for group, frame in enumerate(reported.frames)
+    ]
+    return markup.section("Plan", *plans)
 
 
 def space(reported: ReportedSite) -> str:
     """The placed scans in 3D."""
-    view = site_space(reported.site, reported.scans, reported.names, reported.max_points)
+    view = site_space(reported.site, reported.frames, reported.scans, reported.names, reported.max_points)
     return markup.section("The scans in 3D", view)
 
 
@@ -114,7 +136,8 @@ def scans(reported: ReportedSite) -> str:
         for number, (cloud, group) in enumerate(zip(reported.scans, site.group.tolist(), strict=True))
     ]
     headings = ("", "scan", "points", "group", "links", "in loops", "deviation", "why not placed")
-    return markup.section("Scans", _table(headings, rows))
+    width = len(headings) - bool(site.placed.all())
+    return markup.section("Scans", _table(headings[:width], [row[:width] for row in rows]))
 
 
 def notes(reported: ReportedSite) -> str:
@@ -135,11 +158,15 @@ def links(reported: ReportedSite) -> str:
     """The links that hold the scans, those that fit the worst first."""
     used = [one for one in reported.site.links if one.used]
     used.sort(key=lambda one: (-(one.meters if one.meters == one.meters else 0.0), one.link.target, one.link.source))
-    headings = ("scans", "probability", "overlap", "residual", "off by", "turned by", "loops", "loop error", "alone")
+    headings = (
+        *("scans", "probability", "overlap", "residual", "deviation along x, y, z", "off by", "turned by", "loops"),
+        *("loop error", "alone"),
+    )
     text = (
-        "Poses that agree with each other, those that fit the worst first. Off by and turned by: between the link and "
-        "the poses of all. Loop error: by how much loops of three links miss closing, their median. Alone: the verdict "
-        "on the pair without its neighbors."
+        "Poses that agree with each other, those that fit the worst first. Deviation: how well the surfaces of the "
+        "overlap hold the shift along the axes of the views above; the largest is where the link is weak. Off by and "
+        "turned by: between the link and the poses of all. Loop error: by how much loops of three links miss closing, "
+        "their median. Alone: the verdict on the pair without its neighbors."
     )
     rows = [_link_row(one, reported) for one in used]
     return markup.section("Links", markup.paragraph(text), _table(headings, rows)) if rows else ""
@@ -152,7 +179,7 @@ def refused(reported: ReportedSite) -> str:
     rows = [
         (
             _pair(pair.source, pair.target),
-            pair.reason or "its pose contradicts those of its neighbors",
+            pair.reason or CONTRADICTED,
             str(pair.candidates),
         )
         for pair in site.pairs
@@ -161,8 +188,9 @@ def refused(reported: ReportedSite) -> str:
     rows.sort(key=lambda row: tuple(map(int, row[0].split(" - "))))
     if not rows:
         return ""
-    table = markup.columns(("scans", "reason", "candidates"), rows)
-    heading = f"{counted(len(rows), 'pair')} of scans without a link"
+    table = markup.columns(("scans", "reason", "candidates"), rows[:_LISTED])
+    more = f", the first {_LISTED:,}; site.json has all" if len(rows) > _LISTED else ""
+    heading = f"{counted(len(rows), 'pair')} of scans without a link{more}"
     return markup.section("Other pairs", markup.folded(heading, table))
 
 
@@ -174,7 +202,7 @@ def run(reported: ReportedSite) -> str:
 
 
 SITE_SECTIONS: tuple[Callable[[ReportedSite], str], ...] = (
-    *(verdict, attention, space, scans),
+    *(verdict, attention, plan, space, scans),
     *(links, refused, notes, run),
 )
 """From top to bottom."""
@@ -187,12 +215,23 @@ def _link_row(one: SiteLink, reported: ReportedSite) -> tuple[str, ...]:
         chance(link.probability),
         decimal(link.overlap),
         distance(link.residual) if link.residual == link.residual else "",
+        _strength(one, reported),
         distance(one.meters),
         _degrees(one.degrees),
         str(one.loops) if one.loops else "",
         f"{distance(one.loop_meters)}, {_degrees(one.loop_degrees)}" if one.loops else "",
         link.reason.partition(":")[0] or ("registered" if link.rank == 0 else f"candidate {link.rank + 1}"),
     )
+
+
+def _strength(one: SiteLink, reported: ReportedSite) -> str:
+    """The deviations of a link's shift along the axes of the page."""
+    group = int(reported.site.group[one.link.target])
+    if not 0 <= group < len(reported.frames):
+        return ""
+    turn = torch.from_numpy(reported.frames[group].axes) @ reported.site.T_world_scan[one.link.target, :3, :3]
+    deviations = (turn @ one.link.covariance[3:, 3:] @ turn.t()).diagonal().sqrt().tolist()
+    return millimeters(*deviations) if max(deviations) < 1 else ", ".join(map(distance, deviations))
 
 
 def _degrees(value: float) -> str:

@@ -7,13 +7,14 @@
   const stage = root.querySelector(".viewer-stage");
   const canvas = root.querySelector("canvas");
   const form = root.querySelector("form");
-  const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true }); // kept: a page is printed later
-  if (!gl) {
+  const give = (reason) => {
+    root.querySelector(".viewer-missing span").textContent = reason;
     root.querySelector(".viewer-missing").hidden = false;
-    stage.hidden = true;
-    form.hidden = true;
-    return;
-  }
+    for (const part of [stage, form, root.querySelector(".viewer-help")]) part.hidden = true;
+  };
+  const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true }); // kept: a page is printed later
+  if (!gl) return give("this browser has no WebGL, or it is turned off");
+  if (typeof DecompressionStream === "undefined") return give("this browser is too old to unpack its points");
   const PAPER = [0.92, 0.925, 0.93]; // gray, so that white walls are seen
   const BARE = [0.72, 0.72, 0.72]; // of points without a color or a number
   const FIELD = 0.7; // radians, vertical angle of view
@@ -60,18 +61,22 @@
     return { made, uniforms };
   };
   const dots = program(
-    `attribute vec3 place; attribute vec3 color; uniform vec3 low, step, up; uniform mat4 pose, view;
-     uniform float size, least, most; varying vec3 shade; varying float height;
+    `attribute vec3 place; attribute vec3 color; uniform vec3 up, across, ramp[${data.palette.length}];
+     uniform mat4 pose, view; uniform vec2 heights; uniform float size, least, most, ramped;
+     varying vec3 shade; varying float part;
      void main() {
-       vec4 world = pose * vec4(low + step * place, 1.0);
+       vec4 world = pose * vec4(place, 1.0);
        gl_Position = view * world;
        gl_PointSize = clamp(size / gl_Position.w, least, most);
-       shade = color; height = dot(world.xyz, up);
+       part = dot(world.xyz, across);
+       float at = clamp((dot(world.xyz, up) - heights.x) / (heights.y - heights.x), 0.0, 1.0) * ${data.palette.length - 1}.0;
+       int i = int(min(at, ${data.palette.length - 2}.0));
+       shade = ramped > 0.5 ? mix(ramp[i], ramp[i + 1], at - float(i)) : color;
      }`,
-    `precision highp float; uniform float cut; varying vec3 shade; varying float height;
+    `precision highp float; uniform vec2 section; varying vec3 shade; varying float part;
      void main() {
        vec2 off = gl_PointCoord - 0.5;
-       if (height > cut || dot(off, off) > 0.25) discard;
+       if (part < section.x || part > section.y || dot(off, off) > 0.25) discard;
        gl_FragColor = vec4(shade, 1.0);
      }`
   );
@@ -80,8 +85,34 @@
     "precision mediump float; void main() { gl_FragColor = vec4(0.6, 0.6, 0.6, 1.0); }"
   );
 
-  // ---- the clouds: places as 16 bit steps of a box, colors as bytes, both straight from base64
-  const bytes = (text) => Uint8Array.from(atob(text), (mark) => mark.charCodeAt(0));
+  // ---- the clouds: unpacked from base64, deflated planes of differences, as packed.py has them
+  const BLOCK = 4096; // points
+  const inflated = async (text) => {
+    const raw = Uint8Array.from(atob(text), (mark) => mark.charCodeAt(0));
+    const stream = new Blob([raw]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  };
+  const places = async (cloud) => {
+    const planes = await inflated(cloud.places), made = new Float32Array(3 * cloud.count);
+    for (let axis = 0; axis < 3; axis++) {
+      for (let k = 0, sum = 0; k < cloud.count; k++) {
+        const block = cloud.blocks[Math.floor(k / BLOCK)], at = 2 * axis * cloud.count + k;
+        sum = ((k % BLOCK ? sum : 0) + planes[at] + 256 * planes[at + cloud.count]) & 65535;
+        made[3 * k + axis] = block[axis] + block[3] * sum;
+      }
+    }
+    return made;
+  };
+  const channels = async (text, count) => {
+    const planes = await inflated(text), width = planes.length / Math.max(count, 1), made = new Uint8Array(planes.length);
+    for (let i = 0; i < width; i++) {
+      for (let k = 0, sum = 0; k < count; k++) {
+        sum = ((k % BLOCK ? sum : 0) + planes[i * count + k]) & 255;
+        made[width * k + i] = sum;
+      }
+    }
+    return made;
+  };
   const buffer = (content) => {
     const made = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, made);
@@ -96,27 +127,36 @@
   const clouds = data.clouds.map((cloud) => ({
     ...cloud,
     shown: true,
-    place: buffer(new Uint16Array(bytes(cloud.positions).buffer)),
+    place: null, // until it is unpacked
     poses: cloud.poses.map(transposed),
-    buffers: {
-      colors: cloud.colors === null ? null : buffer(bytes(cloud.colors)),
-      scalars: cloud.scalars === null ? null : buffer(shades(bytes(cloud.scalars))),
-    },
+    buffers: { colors: null, scalars: null },
   }));
+  const unpack = async (cloud) => {
+    const [place, colors, scalars] = await Promise.all([
+      places(cloud),
+      cloud.colors === null ? null : channels(cloud.colors, cloud.count),
+      cloud.scalars === null ? null : channels(cloud.scalars, cloud.count),
+    ]);
+    cloud.place = buffer(place);
+    cloud.buffers = { colors: colors && buffer(colors), scalars: scalars && buffer(shades(scalars)) };
+  };
   const colorAt = gl.getAttribLocation(dots.made, "color");
   const frame = gl.createBuffer();
 
   const choice = (name) => (form.elements[name] === undefined ? null : form.elements[name].value);
   const state = () => data.states[Number(choice("state") ?? data.state)];
-  const cutHeight = () => {
-    const [low, high] = heights();
-    const part = Number(form.elements.cut.value) / 100;
-    return part >= 1 ? 1e30 : low + part * (high - low);
+  const across = () => (choice("axis") === "up" ? up : [0, 1, 2].map((i) => Number(i === Number(choice("axis")))));
+  const section = () => {
+    const [low, high] = extent(across()), [from, to] = ["from", "to"].map((name) => Number(form.elements[name].value) / 100);
+    const ends = [from <= 0 ? -1e30 : low + from * (high - low), to >= 1 ? 1e30 : low + to * (high - low)];
+    const words = [from, to].map((part) => (part * (high - low)).toFixed(high - low < 10 ? 2 : 1));
+    root.querySelector("output").textContent = from <= 0 && to >= 1 ? "all" : `${words[0]} to ${words[1]} m`;
+    return ends;
   };
   const corners = () =>
     Array.from({ length: 8 }, (_, k) => [0, 1, 2].map((i) => ((k >> i) & 1 ? state().high[i] : state().low[i])));
-  const heights = () => {
-    const all = corners().map((corner) => dot(corner, up));
+  const extent = (direction) => {
+    const all = corners().map((corner) => dot(corner, direction));
     return [Math.min(...all), Math.max(...all)];
   };
 
@@ -218,7 +258,8 @@
     }
   };
 
-  const draw = () => {
+  const AT_ONCE = 150000; // points of a frame while the view moves: without a graphics card, a fifth of a second
+  const draw = (moving) => {
     const scale = window.devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((v) => Math.max(1, Math.round(v * scale)));
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -232,39 +273,46 @@
     const points = Number(form.elements.size.value), diagonal = Math.hypot(...add(state().high, state().low, -1));
     gl.uniformMatrix4fv(dots.uniforms.view, false, view);
     gl.uniform3fv(dots.uniforms.up, up);
-    gl.uniform1f(dots.uniforms.cut, cutHeight());
+    gl.uniform3fv(dots.uniforms.across, across());
+    gl.uniform2fv(dots.uniforms.section, section());
+    gl.uniform2fv(dots.uniforms.heights, extent(up));
+    gl.uniform3fv(dots.uniforms["ramp[0]"], data.palette.flat().map((v) => v / 255));
+    gl.uniform1f(dots.uniforms.ramped, mode === "height" ? 1 : 0);
+    const total = clouds.reduce((sum, cloud) => sum + (cloud.shown ? cloud.count : 0), 0);
+    const every = moving ? Math.min(Math.max(Math.ceil(total / AT_ONCE), 1), 20) : 1; // strides end at 255 bytes
     gl.uniform1f(dots.uniforms.size, ((points / 700) * diagonal * height) / (2 * Math.tan(FIELD / 2)));
     gl.uniform1f(dots.uniforms.least, 1.5 * scale);
     gl.uniform1f(dots.uniforms.most, 24 * scale);
     for (const cloud of clouds) {
-      if (!cloud.shown || cloud.count === 0) continue;
+      if (!cloud.shown || cloud.count === 0 || cloud.place === null) continue;
       gl.uniformMatrix4fv(dots.uniforms.pose, false, cloud.poses[now]);
-      gl.uniform3fv(dots.uniforms.low, cloud.low);
-      gl.uniform3fv(dots.uniforms.step, cloud.step);
       gl.bindBuffer(gl.ARRAY_BUFFER, cloud.place);
       gl.enableVertexAttribArray(0);
-      gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, false, 0, 0);
+      gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 12 * every, 0);
       const colors = cloud.buffers[mode];
       if (colors) {
         gl.bindBuffer(gl.ARRAY_BUFFER, colors);
         gl.enableVertexAttribArray(colorAt);
-        gl.vertexAttribPointer(colorAt, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+        gl.vertexAttribPointer(colorAt, 3, gl.UNSIGNED_BYTE, true, 3 * every, 0);
       } else {
         gl.disableVertexAttribArray(colorAt);
         gl.vertexAttrib3fv(colorAt, mode in cloud.buffers ? BARE : cloud.color.map((v) => v / 255));
       }
-      gl.drawArrays(gl.POINTS, 0, cloud.count);
+      gl.drawArrays(gl.POINTS, 0, Math.ceil(cloud.count / every));
     }
     drawLabels(view);
     root.dataset.drawn = String(Number(root.dataset.drawn || 0) + 1);
   };
-  let waiting = false;
-  const redraw = () => {
+  let waiting = false, still = 0, coarse = false;
+  const redraw = (moving = false) => {
+    coarse = moving;
+    clearTimeout(still);
+    if (moving) still = setTimeout(() => redraw(), 250); // then all points
     if (waiting) return;
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
-      draw();
+      draw(coarse);
     });
   };
 
@@ -277,26 +325,38 @@
       stand(value.split(" ").map(Number));
       look("oblique");
     }
-    root.querySelectorAll(".viewer-scale").forEach((bar) => (bar.hidden = choice("coloring") !== "scalars"));
-    redraw();
+    showBars();
+    redraw(event.target.type === "range");
   });
+  const showBars = () => {
+    const [low, high] = extent(up), bars = root.querySelectorAll(".viewer-scale");
+    bars.forEach((bar) => (bar.hidden = choice("coloring") !== bar.dataset.coloring));
+    const ends = root.querySelectorAll(".viewer-scale[data-coloring=height] .ends span");
+    ends.forEach((end, k) => (end.textContent = `${(((high - low) * k) / 2).toFixed(high - low < 10 ? 2 : 1)} m`));
+  };
+  root.querySelectorAll("[data-show]").forEach((button) => button.addEventListener("click", () => {
+    const shown = button.dataset.show === "all";
+    for (const cloud of clouds) cloud.shown = shown;
+    root.querySelectorAll("input[name=cloud]").forEach((box) => (box.checked = shown));
+    redraw();
+  }));
   form.addEventListener("submit", (event) => event.preventDefault());
   root.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => look(button.dataset.view)));
 
   const turn = (dx, dy) => {
     camera.yaw -= dx;
     camera.pitch = Math.min(Math.PI / 2, Math.max(-Math.PI / 2, camera.pitch + dy));
-    redraw();
+    redraw(true);
   };
   const shift = (dx, dy) => {
     const { side, top } = axesOfCamera();
     const unitsPerPixel = (2 * Math.tan(FIELD / 2) * camera.distance) / canvas.clientHeight;
     camera.center = add(add(camera.center, side, -dx * unitsPerPixel), top, dy * unitsPerPixel);
-    redraw();
+    redraw(true);
   };
   const zoom = (factor) => {
     camera.distance *= factor;
-    redraw();
+    redraw(true);
   };
   const held = new Map(); // pointers that are down, by number: fingers or the mouse
   const spread = () => {
@@ -334,6 +394,8 @@
     event.preventDefault();
     KEYS[event.key]();
   });
-  window.addEventListener("resize", redraw);
+  window.addEventListener("resize", () => redraw());
   look("oblique");
+  clouds.reduce((before, cloud) => before.then(() => unpack(cloud)).then(() => redraw(true)), Promise.resolve())
+    .then(() => (root.dataset.unpacked = "true"), (error) => give(`its points cannot be unpacked (${error.message})`));
 })();

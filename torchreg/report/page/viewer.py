@@ -7,7 +7,6 @@ card, 100,000 points took them 14 s a frame, and this a quarter of a second.
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,13 +18,14 @@ from numpy.typing import NDArray
 
 from torchreg.errors import expect
 from torchreg.report.page.markup import escaped
+from torchreg.report.page.packed import packed_bytes, packed_places, packing_order
 from torchreg.report.scene import Box, box, padded, union
 
 PALETTE = ("#0d0887", "#4c02a1", "#7e03a8", "#a92395", "#cc4778", "#e56b5d", "#f89540", "#fdc527")
 """From low to high numbers: plasma of matplotlib without its palest end, which white paper would swallow."""
 
-_STEPS = 65535  # of a 16 bit number
 _MARGIN = 0.02
+_FEW = 8  # clouds whose names stand in one line or two
 _FILES = Path(__file__).parent
 
 
@@ -70,11 +70,12 @@ def viewer_html(
     up: Sequence[float] = (0.0, 0.0, 1.0),
     axes: Sequence[str] = ("x (m)", "y (m)", "z (m)"),
     label: str = "3D view of the clouds",
+    noun: str = "cloud",
 ) -> str:
     """Make the element of a page that shows clouds in 3D, with its data and its script.
 
-    The page needs ``viewer_style()`` in its head. Places are kept to 1 / 65535 of a cloud's extent along each axis. The
-    same clouds give the same text.
+    The page needs ``viewer_style()`` in its head. Places are kept to 1 / 65535 of a cloud's longest edge or better.
+    The same clouds give the same text.
 
     Args:
         clouds: any number; those without colors are drawn gray in true colors, those without scalars by scalar.
@@ -84,6 +85,7 @@ def viewer_html(
         up: (3,) what points up in the view.
         axes: labels of x, y and z of the view's frame.
         label: what the view shows, for those who cannot see it.
+        noun: what each of the clouds is.
 
     Returns:
         A ``<div class="viewer">``.
@@ -111,12 +113,14 @@ def viewer_html(
             '<div class="viewer-labels" aria-hidden="true"></div>',
             "</div>",
             '<form autocomplete="off">',
-            *_controls(clouds, states, state, up),
+            *_controls(clouds, states, state, up, noun),
             "</form>",
             *(() if scale is None else (_color_bar(scale),)),
+            _bar("height", "Height above the lowest point", ("", "", "")),
             '<p class="viewer-help">Drag: turn. Shift or right button, or two fingers: move. Wheel or pinch: zoom. '
             "Arrow keys, + and - do the same.</p>",
-            '<p class="viewer-missing" hidden>This browser has no WebGL, so the view cannot be drawn.</p>',
+            '<p class="viewer-missing" hidden>The 3D view cannot be drawn: <span></span>. The rest of the page '
+            "does not need it.</p>",
             "<noscript><p>The 3D view needs JavaScript, which this page carries itself.</p></noscript>",
             f'<script type="application/json">{block}</script>',
             f"<script>\n{_file('viewer.js')}</script>",
@@ -147,28 +151,42 @@ def _check(cloud: ViewedCloud, states: int, scale: ScalarScale | None) -> None:
         expect(scale is not None, "scale", "one, since a cloud has scalars", scale)
 
 
-def _controls(clouds: Sequence[ViewedCloud], states: Sequence[str], state: int, up: Sequence[float]) -> list[str]:
+def _controls(
+    clouds: Sequence[ViewedCloud], states: Sequence[str], state: int, up: Sequence[float], noun: str
+) -> list[str]:
     boxes = "".join(
         f'<label><input type="checkbox" name="cloud" value="{place}" checked>'
         f'<span class="viewer-swatch" style="background:{escaped(cloud.color)}"></span>{escaped(cloud.name)}</label>'
         for place, cloud in enumerate(clouds)
     )
+    several = (
+        "".join(f'<button type="button" data-show="{what}">{what}</button>' for what in ("all", "none"))
+        if len(clouds) > 2
+        else ""
+    )
     colorings = {
-        "scan": "by cloud",
+        "scan": f"by {noun}",
         **({"colors": "true colors"} if any(cloud.colors is not None for cloud in clouds) else {}),
         **({"scalars": "by distance"} if any(cloud.scalars is not None for cloud in clouds) else {}),
+        "height": "by height",
     }
     poses = {str(place): name for place, name in enumerate(states)}
     views = "".join(
         f'<button type="button" data-view="{view}">{view}</button>' for view in ("oblique", "top", "front", "side")
     )
     return [
-        f"<fieldset><legend>Clouds</legend>{boxes}</fieldset>",
+        f"<fieldset><legend>{escaped(noun.capitalize())}s</legend>{several}"
+        f'<div class="{"viewer-many" if len(clouds) > _FEW else "viewer-few"}">{boxes}</div></fieldset>',
         _radio("Pose", "state", poses, str(state)) if len(states) > 1 else "",
         _radio("Colors", "coloring", colorings, "scan"),
         f"<fieldset><legend>View</legend>{views}{_directions(up)}</fieldset>",
         '<label>Point size <input type="range" name="size" min="0.5" max="6" step="0.5" value="2"></label>',
-        '<label>Hide above <input type="range" name="cut" min="0" max="100" step="1" value="100"></label>',
+        "<fieldset><legend>Section</legend>"
+        '<label>along <select name="axis"><option value="up" selected>height</option><option value="0">x</option>'
+        '<option value="1">y</option><option value="2">z</option></select></label>'
+        '<label>from <input type="range" name="from" min="0" max="100" step="0.5" value="0"></label>'
+        '<label>to <input type="range" name="to" min="0" max="100" step="0.5" value="100"></label>'
+        "<output></output></fieldset>",
     ]
 
 
@@ -200,32 +218,31 @@ def _radio(heading: str, name: str, choices: dict[str, str], chosen: str) -> str
 def _color_bar(scale: ScalarScale) -> str:
     middle = (scale.low + scale.high) / 2
     ends = (f"{scale.low:.4g} {scale.unit}", f"{middle:.4g} {scale.unit}", f"{scale.high:.4g} {scale.unit} or more")
+    return _bar("scalars", scale.name, ends)
+
+
+def _bar(coloring: str, name: str, ends: Sequence[str]) -> str:
+    """The colors from low to high that one kind of coloring has, shown while that is chosen."""
     return (
-        f'<div class="viewer-scale" hidden>{escaped(scale.name)}'
+        f'<div class="viewer-scale" data-coloring="{coloring}" hidden>{escaped(name)}'
         f'<div class="bar" style="background:linear-gradient(to right,{",".join(PALETTE)})"></div>'
         f'<div class="ends">{"".join(f"<span>{escaped(end)}</span>" for end in ends)}</div></div>'
     )
 
 
 def _cloud_data(cloud: ViewedCloud, scale: ScalarScale | None) -> dict[str, object]:
-    """Points as steps of their box, three 16 bit numbers each, little end first; colors and scalars as bytes."""
-    count = len(cloud.points)
-    low = cloud.points.min(axis=0) if count else np.zeros(3)
-    extent = cloud.points.max(axis=0) - low if count else np.zeros(3)
-    step = np.where(extent > 0, extent, 1.0) / _STEPS
-    places = np.rint((cloud.points - low) / step).astype("<u2")
-    colors = None if cloud.colors is None else np.rint(255 * np.clip(cloud.colors, 0, 1)).astype(np.uint8)
+    """Places, colors and scalars as ``packed`` has them."""
+    order = packing_order(cloud.points)
+    colors = None if cloud.colors is None else packed_bytes(np.rint(255 * np.clip(cloud.colors[order], 0, 1)))
     scalars = None
     if cloud.scalars is not None and scale is not None:
-        scalars = np.rint(255 * np.clip((cloud.scalars - scale.low) / (scale.high - scale.low), 0, 1)).astype(np.uint8)
+        share = (cloud.scalars[order] - scale.low) / (scale.high - scale.low)
+        scalars = packed_bytes(np.rint(255 * np.clip(share, 0, 1))[:, None])
     return {
+        **packed_places(cloud.points[order]),
         "color": _bytes_of(cloud.color),
-        "count": count,
-        "low": low.tolist(),
-        "step": step.tolist(),
-        "positions": _base64(places),
-        "colors": None if colors is None else _base64(colors),
-        "scalars": None if scalars is None else _base64(scalars),
+        "colors": colors,
+        "scalars": scalars,
         "poses": [np.asarray(pose, dtype=np.float64).tolist() for pose in cloud.poses],
     }
 
@@ -244,7 +261,3 @@ def _state_data(clouds: Sequence[ViewedCloud], place: int) -> dict[str, list[flo
 
 def _bytes_of(color: str) -> list[int]:
     return list(bytes.fromhex(color.removeprefix("#")))
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return base64.b64encode(values.tobytes()).decode()
