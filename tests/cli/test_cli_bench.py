@@ -15,7 +15,7 @@ from torchreg.cli import app as app_module
 UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
 
 
-@pytest.mark.parametrize("name", ["field", "3dmatch", "paper", "speed"])
+@pytest.mark.parametrize("name", ["field", "3dmatch", "site", "paper", "speed"])
 def test_every_option_names_its_unit(run, name):
     command = typer.main.get_command(app_module.app).commands["bench"].commands[name]
     for parameter in command.params:
