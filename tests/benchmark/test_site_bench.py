@@ -11,7 +11,7 @@ from refusals import refuses
 import torchreg as tr
 from torchreg.benchmark.core.study import run_study
 from torchreg.benchmark.site import registry
-from torchreg.benchmark.site.document import tables
+from torchreg.benchmark.site.document import single_sites, tables
 from torchreg.benchmark.site.judge import judged_site, placed_errors, verdicts, wrong_scans
 from torchreg.benchmark.site.method import SiteAnswer, SiteMethod, SiteTask, along_tree, numbered
 from torchreg.benchmark.site.registry import SITE_METHODS, chosen_site_methods
@@ -130,6 +130,8 @@ def test_a_tree_takes_the_surest_links_first():
 @pytest.fixture
 def folder(tmp_path):
     """Two sites of made-up scans as files, and a list of pairs."""
+    tmp_path = tmp_path / "data"
+    tmp_path.mkdir()
     for name, count in (("a", 3), ("b", 2)):
         (tmp_path / name).mkdir()
         entries = []
@@ -199,13 +201,13 @@ def test_the_whole_run_is_written_and_resumed(folder, tmp_path, monkeypatch):
     assert seen[2:] == [("one", 2), ("two", 2)]
     assert [row["share"] for row in rows] == [1.0] * 4
     text = (tmp_path / "out" / "site.md").read_text()
-    assert "| real sites | the one | 2 | 5 | 1.000 | 0 | 0 |" in text
+    assert "| the one | 2 | 5 | 1.000 | 0 | 0 | 0.0 / 0.0 |" in text
     assert "Made up: two." in text
     line = next(csv.DictReader((tmp_path / "out" / "site.csv").read_text().splitlines()))
     assert (line["site"], line["method"], float(line["share"])) == ("a", "one", 1.0)
-    overall, each = tables(rows, chosen_site_methods(None))
-    assert len(overall.rows) == 2
-    assert len(each.rows) == 4
+    (family,) = tables(rows, chosen_site_methods(None))
+    assert (family.heading, len(family.rows)) == ("Real sites", 2)
+    assert len(single_sites(rows, chosen_site_methods(None)).rows) == 4
     with pytest.raises(ValueError, match="seed"):
         run_study(site_study(SiteBenchOptions(seeds=0, data=(folder,), seed=1)), tmp_path / "out")
 

@@ -48,6 +48,11 @@ def _multiway(least_overlap: float) -> SiteMethod:
 def _place(task: SiteTask, least_overlap: float) -> SiteAnswer:
     o3d = load_open3d()
     o3d.utility.random.seed(task.seed)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        return _placed(o3d, task, least_overlap)
+
+
+def _placed(o3d: Any, task: SiteTask, least_overlap: float) -> SiteAnswer:  # noqa: ANN401  # Open3D itself
     described = [_described(o3d, cloud, task.voxel) for cloud in task.scans]
     edges, tried = [], 0
     for source, target in combinations(range(len(described)), 2):

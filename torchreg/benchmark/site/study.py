@@ -17,7 +17,7 @@ from torchreg.benchmark.site.sources import read_sites, simulated_sites
 from torchreg.benchmark.site.true_site import Readings, TrueSite
 from torchreg.errors import expect
 
-_QUICK_SCANS, _QUICK_STEP = 5, 3.0  # scans, and degrees between rays
+_QUICK_SCANS, _QUICK_STEP = 5, 2.5  # scans, and degrees between rays
 
 
 @dataclass(frozen=True, kw_only=True)
