@@ -201,12 +201,13 @@ def test_the_whole_run_is_written_and_resumed(folder, tmp_path, monkeypatch):
     assert seen[2:] == [("one", 2), ("two", 2)]
     assert [row["share"] for row in rows] == [1.0] * 4
     text = (tmp_path / "out" / "site.md").read_text()
-    assert "| the one | 2 | 5 | 1.000 | 0 | 0 | 0.0 / 0.0 |" in text
+    assert "## Real sites: 2 with 5 scans" in text
+    assert "| the one | 1.000 | 0 | 0 | 0.0 / 0.0 | 0.00 / 0.00 | 0.00 |" in text
     assert "Made up: two." in text
     line = next(csv.DictReader((tmp_path / "out" / "site.csv").read_text().splitlines()))
     assert (line["site"], line["method"], float(line["share"])) == ("a", "one", 1.0)
     (family,) = tables(rows, chosen_site_methods(None))
-    assert (family.heading, len(family.rows)) == ("Real sites", 2)
+    assert (family.heading, len(family.rows)) == ("Real sites: 2 with 5 scans", 2)
     assert len(single_sites(rows, chosen_site_methods(None)).rows) == 4
     with pytest.raises(ValueError, match="seed"):
         run_study(site_study(SiteBenchOptions(seeds=0, data=(folder,), seed=1)), tmp_path / "out")

@@ -222,7 +222,7 @@ def site(
     """Compare torchreg with Open3D's multiway registration on simulated buildings and real sites of many scans.
 
     Share of pairs of scans with the right relative pose (5 degrees, 6 voxels), scans placed wrongly or not at all,
-    errors in millimeters and degrees, share of the pairs that were tried, seconds. --quick takes one building of five
+    errors in millimeters and degrees, share of the pairs that were tried, seconds. --quick takes one floor with five
     scans, and of the real sites that of the fewest.
 
     Exit code 0: all was measured. 2: bad usage, or a file that cannot be read.

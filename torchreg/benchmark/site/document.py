@@ -45,19 +45,24 @@ def sections(rows: Sequence[Row], methods: Sequence[SiteMethod]) -> str:
 
 def tables(rows: Sequence[Row], methods: Sequence[SiteMethod]) -> list[Table]:
     """One table for each family of sites, the sites of a family together."""
-    families = dict.fromkeys(row["family"] for row in rows)
-    return [
-        Table(
-            family.capitalize(),
-            ["method", *(head for head, _ in _TOGETHER)],
-            [
-                [method.title, *(text(cell) for _, text in _TOGETHER)]
-                for method in methods
-                if (cell := [row for row in rows if row["family"] == family and row["method"] == method.name])
-            ],
-        )
-        for family in families
-    ]
+    return _families(rows, methods, (*_FIGURES, _FAILED))
+
+
+def narrow_tables(rows: Sequence[Row], methods: Sequence[SiteMethod]) -> list[Table]:
+    """The same for a terminal: what matters most."""
+    return _families(rows, methods, tuple(column for column in _FIGURES if column[0] in _IN_SHORT))
+
+
+def _families(rows: Sequence[Row], methods: Sequence[SiteMethod], columns: Sequence[_Column]) -> list[Table]:
+    made = []
+    for family in dict.fromkeys(row["family"] for row in rows):
+        of_family = [row for row in rows if row["family"] == family]
+        scans = {row["site"]: row["scans"] for row in of_family}
+        cells = [(method, [row for row in of_family if row["method"] == method.name]) for method in methods]
+        lines = [[method.title, *(text(cell) for _, text in columns)] for method, cell in cells if cell]
+        heading = f"{family.capitalize()}: {len(scans)} with {sum(scans.values())} scans"
+        made.append(Table(heading, ["method", *(head for head, _ in columns)], lines))
+    return made
 
 
 def single_sites(rows: Sequence[Row], methods: Sequence[SiteMethod]) -> Table:
@@ -105,12 +110,8 @@ _FIGURES: tuple[_Column, ...] = (
     ("tried", _mean("tried", 2)),
     ("seconds", _mean("seconds", 1)),
 )
-_TOGETHER: tuple[_Column, ...] = (
-    ("sites", lambda rows: str(len(rows))),
-    ("scans", _total("scans")),
-    *_FIGURES,
-    ("failed", lambda rows: str(sum(bool(row["error"]) for row in rows))),
-)
+_FAILED: _Column = ("failed", lambda rows: str(sum(bool(row["error"]) for row in rows)))
+_IN_SHORT = ("share", "wrong", "unplaced", "mm", "seconds")
 _ALONE: tuple[_Column, ...] = (
     ("scans", _total("scans")),
     *_FIGURES,

@@ -37,6 +37,7 @@ class SiteMethod:
     title: str  # in tables
     statement: str  # how it is run, in one sentence
     run: Callable[[SiteTask], SiteAnswer]  # an exception counts as no scan placed
+    slow: bool = False  # quick runs leave it out unless it is named
 
 
 def along_tree(count: int, links: Iterable[tuple[int, int, Tensor]]) -> SiteAnswer:

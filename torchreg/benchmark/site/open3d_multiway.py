@@ -42,6 +42,7 @@ def _multiway(least_overlap: float) -> SiteMethod:
         "matrices; global optimization by Levenberg-Marquardt with line process, edges pruned below "
         f"{_EDGE_PRUNED:g}, from the tree of most correspondences; groups are what the edges left hold together.",
         run=run,
+        slow=least_overlap > 0,
     )
 
 

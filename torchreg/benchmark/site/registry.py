@@ -16,14 +16,14 @@ SITE_METHODS: dict[str, SiteMethod] = {
 """In the order of the tables: peers first."""
 
 
-def chosen_site_methods(names: Sequence[str] | None) -> tuple[SiteMethod, ...]:
-    """Methods by name in the order of ``SITE_METHODS``; ``None`` takes all.
+def chosen_site_methods(names: Sequence[str] | None, *, quick: bool = False) -> tuple[SiteMethod, ...]:
+    """Methods by name in the order of ``SITE_METHODS``; ``None`` takes all, or with ``quick`` those that are not slow.
 
     Raises:
         ValueError: a name that no method has, or none at all.
     """
     if names is None:
-        return tuple(SITE_METHODS.values())
+        return tuple(method for method in SITE_METHODS.values() if not (quick and method.slow))
     expect(len(names) > 0, "methods", "at least one", names)
     for name in names:
         expect(name in SITE_METHODS, "methods", "names out of " + ", ".join(SITE_METHODS), name)

@@ -19,15 +19,15 @@ from torchreg.io.transform_text import checked_rigid
 from torchreg.preprocess import voxel_downsample
 
 SITE = "site.json"
-BUILDINGS = "buildings"
-_FLOORS = 3
 _BUILDING_VOXEL = 0.1  # meters
 
 _NEEDED = ("voxel_m", "scans", "file", "T_world_scan")
 
 
-def simulated_sites(seeds: Sequence[int], scans: Sequence[int], *, angular_step: float = 1.4) -> list[TrueSite]:
-    """A building of three floors for every number of scans, up to 500, and every seed.
+def simulated_sites(
+    seeds: Sequence[int], scans: Sequence[int], *, floors: int = 3, angular_step: float = 1.4
+) -> list[TrueSite]:
+    """A building for every number of scans, up to 500, and every seed.
 
     Raises:
         ValueError: a number of scans that no building can have.
@@ -37,10 +37,10 @@ def simulated_sites(seeds: Sequence[int], scans: Sequence[int], *, angular_step:
     return [
         TrueSite(
             name=f"building-{seed}-of-{count}",
-            family=f"{BUILDINGS}, {count} scans",
+            family=f"buildings of {count} scans, {floors} floor{'s' * (floors > 1)}",
             scans=count,
             voxel=_BUILDING_VOXEL,
-            read=partial(_simulated, seed, count, angular_step),
+            read=partial(_simulated, seed, count, floors, angular_step),
         )
         for count in scans
         for seed in seeds
@@ -68,10 +68,10 @@ def read_sites(path: str | os.PathLike[str]) -> list[TrueSite]:
     return [_listed(file) for file in files]
 
 
-def _simulated(seed: int, count: int, angular_step: float) -> Readings:
+def _simulated(seed: int, count: int, floors: int, angular_step: float) -> Readings:
     from torchreg.synthetic import building
 
-    site = building(seed, scans=count, floors=_FLOORS, angular_step=angular_step)
+    site = building(seed, scans=count, floors=floors, angular_step=angular_step)
     return Readings(site.scans, known_pairs(site.T_world_scan), site.T_world_scan)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Cell, Study
-from torchreg.benchmark.site.document import csv_text, document, tables
+from torchreg.benchmark.site.document import csv_text, document, narrow_tables
 from torchreg.benchmark.site.judge import judged_site
 from torchreg.benchmark.site.method import SiteMethod, SiteTask
 from torchreg.benchmark.site.registry import chosen_site_methods
@@ -17,7 +17,7 @@ from torchreg.benchmark.site.sources import read_sites, simulated_sites
 from torchreg.benchmark.site.true_site import Readings, TrueSite
 from torchreg.errors import expect
 
-_QUICK_SCANS, _QUICK_STEP = 5, 2.5  # scans, and degrees between rays
+_QUICK_SCANS, _QUICK_FLOORS, _QUICK_STEP = 5, 1, 2.0  # the step is degrees between rays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class SiteBenchOptions:
     scans: Sequence[int] = (15, 30, 60)  # of the buildings
     data: Sequence[Path] = ()  # real sites, as ``read_sites`` takes them
     sites: Sequence[str] | None = None  # names of sites to take; ``None`` takes all
-    quick: bool = False  # one small building, scanned coarsely, instead of the others; and the smallest real site
+    quick: bool = False  # one small floor, scanned coarsely, and the smallest real site; no slow methods
     seed: int = 0  # of every random draw of the methods
 
 
@@ -40,7 +40,7 @@ def site_study(options: SiteBenchOptions) -> Study:
         CloudFileError: data that hold no sites.
         ValueError: a name that no method or no site has, two sites of one name, or none at all.
     """
-    methods, sites = chosen_site_methods(options.methods), _sites(options)
+    methods, sites = chosen_site_methods(options.methods, quick=options.quick), _sites(options)
     measure = _measurement(sites, options.seed)
     return Study(
         name="site",
@@ -53,14 +53,16 @@ def site_study(options: SiteBenchOptions) -> Study:
         run={"methods": [method.name for method in methods], "sites": [site.name for site in sites]},
         document=lambda rows, _, machine: document(rows, methods, machine),
         csv=lambda rows: {"site.csv": csv_text(rows)},
-        shown=lambda rows: tables(rows, methods),
+        shown=lambda rows: narrow_tables(rows, methods),
     )
 
 
 def _sites(options: SiteBenchOptions) -> list[TrueSite]:
     real = [site for path in options.data for site in read_sites(path)]
     if options.quick:
-        made = simulated_sites(range(min(options.seeds, 1)), [_QUICK_SCANS], angular_step=_QUICK_STEP)
+        made = simulated_sites(
+            range(min(options.seeds, 1)), [_QUICK_SCANS], floors=_QUICK_FLOORS, angular_step=_QUICK_STEP
+        )
         real = sorted(real, key=lambda site: site.scans)[:1]
     else:
         made = simulated_sites(range(options.seeds), options.scans)
