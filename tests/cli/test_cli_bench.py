@@ -1,8 +1,10 @@
 """``torchreg bench``: its commands end to end on made-up scans."""
 
+import json
 import re
 
 import pytest
+import torch
 import typer
 from folders import block
 from problems import room_pair
@@ -10,12 +12,14 @@ from real_folders import project
 
 import torchreg as tr
 from torchreg.benchmark.peers import METHODS
+from torchreg.benchmark.site import registry as site_registry
+from torchreg.benchmark.site.method import SiteAnswer, SiteMethod
 from torchreg.cli import app as app_module
 
 UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
 
 
-@pytest.mark.parametrize("name", ["field", "3dmatch", "paper", "speed"])
+@pytest.mark.parametrize("name", ["field", "3dmatch", "site", "paper", "speed"])
 def test_every_option_names_its_unit(run, name):
     command = typer.main.get_command(app_module.app).commands["bench"].commands[name]
     for parameter in command.params:
@@ -77,3 +81,41 @@ def test_3dmatch(run, tmp_path):
 def test_the_help_names_every_method(run, name):
     shown = " ".join(run("bench", name, "--help").stdout.replace("│", " ").split())
     assert all(method in shown for method in METHODS)
+
+
+def test_sites_end_to_end(run, tmp_path, monkeypatch):
+    """A method that leaves every scan where it is, on a real site of two clouds and on a building."""
+
+    def stay(task):
+        count = len(task.scans)
+        T = torch.eye(4, dtype=torch.float64).repeat(count, 1, 1)
+        return SiteAnswer(T_world_scan=T, group=torch.zeros(count, dtype=torch.int64), pairs_tried=1)
+
+    made = SiteMethod(name="stay", title="as they are", statement="Nothing is moved.", run=stay)
+    monkeypatch.setattr(site_registry, "SITE_METHODS", {"stay": made})
+    still, out = tmp_path / "still", tmp_path / "out"
+    still.mkdir()
+    scans = []
+    for k in range(2):
+        tr.write_cloud(still / f"{k}.ply", tr.Clouds(points=torch.rand(20, 3)))
+        scans.append({"file": f"{k}.ply", "T_world_scan": torch.eye(4).tolist()})
+    (still / "site.json").write_text(json.dumps({"voxel_m": 0.1, "scans": scans}))
+    words = ("bench", "site", "--quick", "--data", still, "--out", out)
+    shown = run(*words)
+    assert shown.exit_code == 0, shown.output
+    assert "Real sites: 1 with 2 scans" in shown.stdout
+    text = (out / "site.md").read_text()
+    assert "| still | as they are | 2 | 1.000 | 0 | 0 |" in text
+    assert re.search(r"building-0-of-5 \| as they are \| 5 \| 0.000 \| 4 ", text)
+    rows = [row["key"] for row in json.loads((out / "site.json").read_text())["rows"]]
+    assert rows == ["building-0-of-5/stay", "still/stay"]
+    assert run(*words, "--methods", "best").exit_code == 2
+    assert run(*words, "--sites", "nowhere").exit_code == 2
+    assert run(*words, "--seed", "1").exit_code == 2
+    assert run("bench", "site", "--scans", "3", "--out", out).exit_code == 2
+    assert run("bench", "site", "--data", tmp_path / "nothing", "--out", out).exit_code == 2
+
+
+def test_the_help_names_every_method_for_sites(run):
+    shown = " ".join(run("bench", "site", "--help").stdout.replace("│", " ").split())
+    assert all(method in shown for method in site_registry.SITE_METHODS)

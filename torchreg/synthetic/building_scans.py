@@ -1,11 +1,11 @@
 """Scans of a simulated office building of several floors, with the true poses of the scanner.
 
-What is alike on all floors: the plan (walls, doors, windows, stairs), the kinds of rooms and where their furniture
-belongs, and nearly all of its models and colors. What differs from floor to floor, as in a real building: chairs and
-cartons stand elsewhere, some pieces are missing or of another make, some carpets and walls have another color, most
-posters and the goods on shelves are a floor's own, and each floor has its color of signs and of the corridors' ends.
-Rooms of one kind on one floor are alike in size and arrangement too. So many scans look alike, and some nearly
-the same.
+What is alike on all floors: the plan (walls, doors, windows, stairs, lamps), the kinds of rooms, where their furniture
+belongs, and about half of its models and colors. What differs from floor to floor, as in a real building: furniture
+stands a decimeter or so elsewhere, some pieces are missing, turned or of another make, half of the carpets and painted
+walls have another color, most posters and the goods on shelves are a floor's own, and each floor has its color of
+signs, of a wall on its landing, and of the corridors' ends. One room in four changes little. Rooms of one kind on one
+floor are alike in size and arrangement too. So many scans look alike, and some nearly the same.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def _corridor_places(plan: BuildingPlan) -> list[tuple[float, float]]:
     for wing in range(plan.wings):
         y = plan.corridor_y(wing)
         start, end = (-plan.passage / 2, plan.length + plan.passage / 2) if plan.passage else (-0.6, plan.length + 0.6)
-        fixed = sorted(cell.x for cell in plan.stairwells if abs(cell.y - y) < plan.corridor)
+        fixed = _apart(sorted(cell.x for cell in plan.stairwells if abs(cell.y - y) < plan.corridor))
         stops = [start, *fixed, end]
         inner = [
             low + (high - low) * (k + 1) / count
@@ -114,6 +114,15 @@ def _corridor_places(plan: BuildingPlan) -> list[tuple[float, float]]:
         along = [low + 2 * plan.depth * (k + 0.5) / count for k in range(count)]
         places += [(x, y) for x in (-plan.passage / 2, plan.length + plan.passage / 2) for y in along]
     return places
+
+
+def _apart(places: list[float]) -> list[float]:
+    """Ascending places without those that another is close to: one station does for two stairwells face to face."""
+    kept: list[float] = []
+    for place in places:
+        if not kept or place - kept[-1] > _STATION_EVERY / 2:
+            kept.append(place)
+    return kept
 
 
 def _between_floors(plan: BuildingPlan) -> Iterator[Station]:

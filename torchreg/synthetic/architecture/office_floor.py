@@ -18,26 +18,56 @@ STAIR_DOOR = Opening(0.0, 2.0, 0.0, 2.3)
 
 def room_shell(plan: BuildingPlan, cell: Cell, draws: Draws) -> list[Quads]:
     """Floor, ceiling, walls, doors and windows of a room in its own frame, and what is on the wall to the corridor."""
-    room, kind = cell.interior, cell.kind
-    assert kind is not None
-    width = room.width
-    side = 1 if room.door > 0 else -1
-    openings = [Opening(room.door, DOOR_WIDTH, 0.0, DOOR_HEIGHT)]
-    left, right = -width / 2 + 0.25, width / 2 - 0.25
-    free = (left, room.door - DOOR_WIDTH / 2 - 0.15) if side > 0 else (room.door + DOOR_WIDTH / 2 + 0.15, right)
-    if kind.glazed:
-        glass = Opening(sum(free) / 2, free[1] - free[0], 0.35, DOOR_HEIGHT)
-        openings.append(glass)
-    front = wall(draws.look(0), plan.walls, width, plan.storey, openings).placed(0, THICKNESS / 2)
-    parts = [front, *_ground(room, draws), *side_walls(plan, cell, draws), *_back(plan, cell, draws)]
-    parts += _door(plan, room, draws)
-    if kind.glazed:
-        parts.append(window_frame(draws.look(0), plan.frames, glass, plan.module).placed(0, THICKNESS / 2))
-    elif free[1] - free[0] > 1.0:
-        parts += at_wall(draws, office.picture, sum(free) / 2, 0.0, there=0.35, change=0.7)
-        parts += at_wall(draws, office.notice_board, sum(free) / 2, 0.0, there=0.2, change=0.7)
-        parts += stand(draws, indoor.litter_bin, sum(free) / 2, -0.3, loose=0.2, there=0.15, change=0.5)
-        parts += at_wall(draws, office.cabinet, sum(free) / 2, 0.0, there=0.1, change=0.5)
+    assert cell.kind is not None
+    room = cell.interior
+    opening, others = _FRONTS[cell.kind.front](room)
+    front = wall(draws.look(0), plan.walls, room.width, plan.storey, [opening, *others])
+    parts = [front.placed(0, THICKNESS / 2), *_ground(room, draws)]
+    parts += [*side_walls(plan, cell, draws), *_back(plan, cell, draws)]
+    parts += [window_frame(draws.look(0), plan.frames, glass, plan.module).placed(0, THICKNESS / 2) for glass in others]
+    if opening.width == DOOR_WIDTH:
+        parts += _door(plan, room, draws)
+    if opening.width == DOOR_WIDTH and not others:
+        parts += _on_the_front(room, draws)
+    return parts
+
+
+def _beside_door(room: Interior) -> tuple[float, float]:
+    """From where to where along the front the wall is free, x in meters."""
+    half = DOOR_WIDTH / 2 + 0.15
+    edge = room.width / 2 - 0.25
+    return (-edge, room.door - half) if room.door > 0 else (room.door + half, edge)
+
+
+def _closed(room: Interior) -> tuple[Opening, list[Opening]]:
+    return Opening(room.door, DOOR_WIDTH, 0.0, DOOR_HEIGHT), []
+
+
+def _glazed(room: Interior) -> tuple[Opening, list[Opening]]:
+    left, right = _beside_door(room)
+    return _closed(room)[0], [Opening((left + right) / 2, right - left, 0.35, DOOR_HEIGHT)]
+
+
+def _open(room: Interior) -> tuple[Opening, list[Opening]]:
+    return Opening(0.0, room.width - 0.5, 0.0, 2.45), []
+
+
+_FRONTS = {"closed": _closed, "glazed": _glazed, "open": _open}
+
+
+def _on_the_front(room: Interior, draws: Draws) -> list[Quads]:
+    """What hangs and stands in the corridor beside a door."""
+    left, right = _beside_door(room)
+    if right - left < 1.0:
+        return []
+    x = (left + right) / 2
+    hung = [(office.picture, 0.45), (office.notice_board, 0.3), (office.extinguisher, 0.2), (office.cabinet, 0.2)]
+    stood = [(indoor.litter_bin, 0.2), (indoor.planter, 0.2)]
+    parts = []
+    for make, share in hung:
+        parts += at_wall(draws, make, x, 0.0, loose=0.25, there=share, change=0.8)
+    for make, share in stood:
+        parts += stand(draws, make, x + 0.2, -0.4, loose=0.15, there=share, change=0.8)
     return parts
 
 
@@ -45,8 +75,8 @@ def side_walls(plan: BuildingPlan, cell: Cell, draws: Draws) -> list[Quads]:
     """The wall at the left of a room or stairwell, in its own frame, and at the right of the last one of a row."""
     room = cell.interior
     through = [Opening(0.12 * room.depth, 0.95, 0.0, DOOR_HEIGHT)] if cell.door_at_left else []
-    colored = draws.look(0.3)
-    color = muted(colored)[0] if colored.random() < 0.15 else plan.walls
+    colored = draws.look(0.5)
+    color = muted(colored)[0] if colored.random() < 0.25 else plan.walls
     turned = wall(draws.look(0.3), color, room.depth, plan.storey, through)
     parts = [turned.placed(-room.width / 2, room.depth / 2, yaw=np.pi / 2)]
     if cell.last:
@@ -94,7 +124,7 @@ def corridors(plan: BuildingPlan, floor: int, draws: Draws) -> list[Quads]:
 
 def _ground(room: Interior, draws: Draws) -> list[Quads]:
     """Carpet or wood, and a ceiling of panels with its lamps."""
-    look = draws.look(0.35)
+    look = draws.look(0.5)
     wooden = look.random() < 0.35
     color = neutral(look, 0.4, 0.8)[0] * [1, 0.85, 0.65] if wooden else muted(look)[0]
     ground = paint(look, color, pattern="planks" if wooden else "patches", scale=0.14)
@@ -119,8 +149,8 @@ def _back(plan: BuildingPlan, cell: Cell, draws: Draws) -> list[Quads]:
     """The wall opposite the door: windows with radiators below them, or a plain wall to the next wing."""
     room = cell.interior
     window = [Opening(0.0, room.width - 0.8, 0.9, 2.35)] if cell.outside else []
-    colored = draws.look(0.25)
-    color = muted(colored)[0] if colored.random() < 0.2 and not cell.outside else plan.walls
+    colored = draws.look(0.5)
+    color = muted(colored)[0] if colored.random() < 0.3 and not cell.outside else plan.walls
     parts = [wall(draws.look(0.25), color, room.width, plan.height, window)]
     parts += [window_frame(draws.look(0), plan.frames, pane, plan.module) for pane in window]
     parts += [office.radiator(draws.look(0), pane.width - 0.4).placed(0, -0.08) for pane in window]

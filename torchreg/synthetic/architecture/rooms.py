@@ -40,7 +40,7 @@ class RoomKind:
     name: str
     modules: int  # width in modules of the building
     weight: float  # how often there is one, relative to the other kinds
-    glazed: bool  # whether the front is of glass beside the door
+    front: str  # "closed": a wall with a door; "glazed": of glass beside the door; "open": none at all
     furnish: Callable[[Interior, Draws], list[Quads]]
 
 
@@ -61,9 +61,9 @@ def stand(
     y: float,
     yaw: float = 0.0,
     *,
-    loose: float = 0.03,
+    loose: float = 0.06,
     there: float = 1.0,
-    change: float = 0.15,
+    change: float = 0.5,
 ) -> list[Quads]:
     """A piece about its place, if it is there at all; what leans on a wall stands at ``at_wall``.
 
@@ -86,7 +86,7 @@ def at_wall(
     *,
     loose: float = 0.1,
     there: float = 1.0,
-    change: float = 0.15,
+    change: float = 0.5,
 ) -> list[Quads]:
     """As ``stand``, but with its back to a wall, along which alone it may be shifted."""
     chance, look, shift = draws.look(change), draws.look(change), draws.shift(loose)
@@ -107,8 +107,8 @@ def _shelf(rng: np.random.Generator, width: float) -> Quads:
 def _workplace(draws: Draws, x: float, y: float, yaw: float) -> list[Quads]:
     behind = y - 0.75 * np.cos(yaw), x + 0.75 * np.sin(yaw)
     return [
-        *stand(draws, office.desk, x, y, yaw, change=0.3),
-        *stand(draws, office.swivel_chair, behind[1], behind[0], yaw + np.pi, loose=0.15, change=0.1),
+        *stand(draws, office.desk, x, y, yaw, loose=0.1, change=0.7, there=0.95),
+        *stand(draws, office.swivel_chair, behind[1], behind[0], yaw + np.pi, loose=0.25, change=0.4),
     ]
 
 
@@ -116,33 +116,36 @@ def _walls(room: Interior, draws: Draws) -> list[Quads]:
     """Pictures and boards on the walls beside the front."""
     door = 1 if room.door > 0 else -1
     return [
-        *at_side(draws, office.picture, room, door, 0.55 * room.depth, there=0.6, change=0.6),
-        *at_side(draws, office.picture, room, -door, 0.25 * room.depth, there=0.5, change=0.6),
+        *at_side(draws, office.picture, room, door, 0.55 * room.depth, there=0.7, change=0.9),
+        *at_side(draws, office.picture, room, -door, 0.25 * room.depth, there=0.6, change=0.9),
         *stand(draws, indoor.litter_bin, -door * (room.width / 2 - 0.4), 0.5, loose=0.1, there=0.7),
     ]
 
 
 def _office(room: Interior, draws: Draws) -> list[Quads]:
     door = 1 if room.door > 0 else -1
+    turned = draws.look(0.6).random() < 0.4
+    x, yaw = (-door * 0.1, 0.0) if turned else (-door * (room.width / 2 - 1.0), door * np.pi / 2)
     return [
         *_walls(room, draws),
-        *_workplace(draws, -door * (room.width / 2 - 1.0), room.depth - 1.6, door * np.pi / 2),
-        *at_side(draws, partial(_shelf, width=1.6), room, -door, 0.4 * room.depth, change=0.5, there=0.8),
-        *at_side(draws, office.cabinet, room, door, 0.8 * room.depth, change=0.3, there=0.7),
+        *_workplace(draws, x, room.depth - 1.4, yaw),
+        *at_side(draws, partial(_shelf, width=1.6), room, -door, 0.4 * room.depth, change=0.8, there=0.8),
+        *at_side(draws, office.cabinet, room, door, 0.8 * room.depth, change=0.6, there=0.7),
         *stand(draws, office.plain_chair, -door * 0.2, 0.5 * room.depth, 2.6, loose=0.15, there=0.7),
         *stand(draws, indoor.planter, door * (room.width / 2 - 0.5), room.depth - 0.75, there=0.4, change=0.5),
     ]
 
 
 def _shared_office(room: Interior, draws: Draws) -> list[Quads]:
-    door, y = 1 if room.door > 0 else -1, room.depth - 1.7
+    door = 1 if room.door > 0 else -1
+    y = room.depth - (1.7 if draws.look(0.6).random() < 0.5 else 2.2)
     return [
         *_walls(room, draws),
         *_workplace(draws, -0.45, y, -np.pi / 2),
         *_workplace(draws, 0.45, y, np.pi / 2),
-        *at_side(draws, partial(_shelf, width=2.4), room, -door, 0.4 * room.depth, change=0.5),
-        *at_side(draws, office.whiteboard, room, door, 0.45 * room.depth, change=0.5, there=0.6),
-        *at_side(draws, office.cabinet, room, door, 0.85 * room.depth, change=0.3, there=0.6),
+        *at_side(draws, partial(_shelf, width=2.4), room, -door, 0.4 * room.depth, change=0.8),
+        *at_side(draws, office.whiteboard, room, door, 0.45 * room.depth, change=0.8, there=0.6),
+        *at_side(draws, office.cabinet, room, door, 0.85 * room.depth, change=0.6, there=0.6),
         *stand(
             draws, indoor.cartons, -door * (room.width / 2 - 0.5), room.depth - 0.6, loose=0.2, there=0.5, change=0.6
         ),
@@ -157,15 +160,15 @@ def _meeting(room: Interior, draws: Draws) -> list[Quads]:
         for place in x
         for side in (-1, 1)
         for piece in stand(
-            draws, office.swivel_chair, place, y + side * 0.85, np.pi / 2 * (1 - side), loose=0.1, there=0.95
+            draws, office.swivel_chair, place, y + side * 0.85, np.pi / 2 * (1 - side), loose=0.2, there=0.9
         )
     ]
     return [
         *_walls(room, draws),
         *chairs,
-        *stand(draws, partial(office.long_table, length=length), 0, y, change=0.4),
-        *at_side(draws, office.whiteboard, room, 1, 0.6 * room.depth, change=0.4),
-        *at_side(draws, office.cabinet, room, -1, 0.6 * room.depth, there=0.7, change=0.3),
+        *stand(draws, partial(office.long_table, length=length), 0, y, change=0.6),
+        *at_side(draws, office.whiteboard, room, 1, 0.6 * room.depth, change=0.8),
+        *at_side(draws, office.cabinet, room, -1, 0.6 * room.depth, there=0.7, change=0.7),
         *stand(draws, indoor.planter, room.width / 2 - 0.6, room.depth - 0.8, there=0.6, change=0.4),
     ]
 
@@ -176,7 +179,7 @@ def _kitchen(room: Interior, draws: Draws) -> list[Quads]:
     chairs = [(0, -0.75, np.pi), (0, 0.75, 0.0), (0.85, 0.0, -np.pi / 2), (-0.85, 0.0, np.pi / 2)]
     return [
         *_walls(room, draws),
-        *at_side(draws, unit, room, -door, 0.6 * room.depth, change=0.3),
+        *at_side(draws, unit, room, -door, 0.6 * room.depth, change=0.5),
         *stand(draws, partial(office.long_table, length=0.9, width=0.9), x, y, change=0.4),
         *(
             piece
@@ -226,11 +229,26 @@ def _ball(rng: np.random.Generator) -> Quads:
     return balls((0, 0, 0.33), (0.33, 0.33, 0.33), paint(rng, vivid(rng)))
 
 
+def _lounge(room: Interior, draws: Draws) -> list[Quads]:
+    table = partial(office.long_table, length=0.9, width=0.6)
+    return [
+        *at_side(draws, office.sofa, room, -1, 0.55 * room.depth, change=0.7),
+        *at_side(draws, office.sofa, room, 1, 0.6 * room.depth, there=0.6, change=0.7),
+        *stand(draws, table, 0.1, 0.65 * room.depth, np.pi / 2, loose=0.15, change=0.6),
+        *at_wall(draws, office.notice_board, 0, room.depth - 0.14, there=0.5, change=0.9),
+        *at_side(draws, partial(_shelf, width=1.4), room, 1, 0.25 * room.depth, there=0.6, change=0.8),
+        *stand(draws, indoor.planter, -room.width / 2 + 0.6, room.depth - 0.7, there=0.8, change=0.6),
+        *stand(draws, indoor.planter, room.width / 2 - 0.6, room.depth - 0.7, there=0.5, change=0.6),
+        *stand(draws, indoor.board, 0.5, 0.35 * room.depth, 0.5, loose=0.3, there=0.5, change=0.9),
+    ]
+
+
 ROOM_KINDS = (
-    RoomKind(name="office", modules=3, weight=4, glazed=False, furnish=_office),
-    RoomKind(name="shared-office", modules=4, weight=3, glazed=True, furnish=_shared_office),
-    RoomKind(name="meeting", modules=5, weight=1.5, glazed=True, furnish=_meeting),
-    RoomKind(name="kitchen", modules=3, weight=1, glazed=True, furnish=_kitchen),
-    RoomKind(name="store", modules=2, weight=0.8, glazed=False, furnish=_store),
-    RoomKind(name="open-plan", modules=7, weight=0.8, glazed=True, furnish=_open_plan),
+    RoomKind(name="office", modules=3, weight=4, front="closed", furnish=_office),
+    RoomKind(name="shared-office", modules=4, weight=3, front="glazed", furnish=_shared_office),
+    RoomKind(name="meeting", modules=5, weight=1.5, front="glazed", furnish=_meeting),
+    RoomKind(name="kitchen", modules=3, weight=1, front="glazed", furnish=_kitchen),
+    RoomKind(name="store", modules=2, weight=0.8, front="closed", furnish=_store),
+    RoomKind(name="lounge", modules=3, weight=1, front="open", furnish=_lounge),
+    RoomKind(name="open-plan", modules=7, weight=0.8, front="glazed", furnish=_open_plan),
 )

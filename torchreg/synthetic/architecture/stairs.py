@@ -11,14 +11,14 @@ import numpy as np
 from torchreg.synthetic.architecture.office_floor import STAIR_DOOR, side_walls
 from torchreg.synthetic.architecture.office_plan import BuildingPlan, Cell
 from torchreg.synthetic.architecture.rooms import at_wall, stand
-from torchreg.synthetic.architecture.walls import THICKNESS, wall
+from torchreg.synthetic.architecture.walls import THICKNESS, Opening, wall, window_frame
 from torchreg.synthetic.furniture import indoor, office
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.draws import Draws
 from torchreg.synthetic.scene.paint import neutral, paint
 from torchreg.synthetic.scene.quads import Quads, boxes
 
-FRONT_LANDING, MIDDLE_LANDING = 1.7, 1.4  # meters
+FRONT_LANDING, MIDDLE_LANDING = 2.1, 1.3  # meters
 _STEPS = 10  # of a flight
 _SLAB = 0.25  # meters
 
@@ -31,7 +31,10 @@ def stairwell(plan: BuildingPlan, cell: Cell, floor: int, draws: Draws) -> list[
     stone = neutral(look, 0.45, 0.7)[0]
     top, bottom = floor + 1 == plan.floors, floor == 0
     front = wall(draws.look(0), plan.walls, room.width, plan.storey, [STAIR_DOOR]).placed(0, THICKNESS / 2)
-    back = wall(draws.look(0), plan.walls, room.width, plan.storey).placed(0, depth - THICKNESS / 2)
+    window = [] if top or not cell.outside else [Opening(0.0, width - 1.4, half + 0.9, half + 1.6)]
+    backs = [wall(draws.look(0), plan.walls, room.width, plan.storey, window)]
+    backs += [window_frame(draws.look(0), plan.frames, pane, 0.8) for pane in window]
+    back = Quads.join(backs).placed(0, depth - THICKNESS / 2)
     landing = depth if bottom else FRONT_LANDING
     slabs = [(0, landing / 2, -_SLAB / 2, width, landing, _SLAB)]
     if top:
@@ -48,13 +51,21 @@ def stairwell(plan: BuildingPlan, cell: Cell, floor: int, draws: Draws) -> list[
         parts += _flights(plan, cell, look, stone)
     sign_look = draws.look(1.0)
     letters = paint(sign_look, plan.accents[floor], (1, 1, 1), pattern="letters", scale=0.4)
-    parts.append(boxes((width / 2 - 0.02, 0.9, 1.6), (0.03, 0.7, 0.7), letters))
+    parts.append(boxes((width / 2 - 0.02, 0.5 * FRONT_LANDING, 1.6), (0.03, 0.9, 0.7), letters))
+    painted = paint(sign_look, plan.accents[floor])
+    parts.append(boxes((0.02 - width / 2, 0.5 * FRONT_LANDING + 0.1, 1.3), (0.03, FRONT_LANDING - 0.3, 2.4), painted))
     parts += at_wall(draws, office.extinguisher, -1.35, THICKNESS, np.pi, change=0.1)
-    parts += stand(draws, indoor.planter, -width / 2 + 0.45, 0.55, loose=0.1, there=0.35, change=0.7)
+    parts += stand(draws, indoor.planter, width / 2 - 0.45, 0.55, loose=0.05, there=0.5, change=0.9)
+    parts += at_wall(draws, office.cabinet, 0.04 - width / 2, 0.9, np.pi / 2, there=0.4, change=0.9)
+    parts += at_wall(draws, office.notice_board, 0.06 - width / 2, 1.1, np.pi / 2, there=0.6, change=0.9)
     if not top:
-        notices = at_wall(draws, office.notice_board, 0, depth - THICKNESS, loose=0.2, there=0.5, change=0.9)
-        things = stand(draws, indoor.cartons, -width / 2 + 0.4, depth - 0.5, loose=0.05, there=0.3, change=0.9)
-        parts += [piece.placed(0, 0, half) for piece in (*notices, *things)]
+        notices = at_wall(
+            draws, office.notice_board, 0, depth - THICKNESS, loose=0.2, there=0.0 if window else 0.7, change=0.9
+        )
+        things = stand(draws, indoor.cartons, -width / 2 + 0.4, depth - 0.5, loose=0.05, there=0.4, change=0.9)
+        at_side = width / 2 - 0.02, depth - 0.6 * MIDDLE_LANDING, -np.pi / 2
+        pictures = at_wall(draws, office.picture, *at_side, there=0.8, change=0.9)
+        parts += [piece.placed(0, 0, half) for piece in (*notices, *things, *pictures)]
     return parts
 
 

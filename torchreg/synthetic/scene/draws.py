@@ -6,6 +6,8 @@ import numpy as np
 
 from torchreg.synthetic.scene import Array
 
+_SETTLED = 0.25  # share of the parts that change little
+
 
 class Draws:
     """A series of generators for one part of a building, say a room, on one floor.
@@ -15,8 +17,13 @@ class Draws:
     """
 
     def __init__(self, key: tuple[int, ...], floor: int, variety: float) -> None:
-        """``key`` names the part, alike on all floors; ``variety`` is 0 where floors are alike in everything."""
-        self._key, self._floor, self._variety, self._count = key, floor, variety, 0
+        """``key`` names the part, alike on all floors; ``variety`` is 0 where floors are alike in everything.
+
+        One part in four changes little from floor to floor.
+        """
+        settled = np.random.default_rng((*key, 0, 2)).random() < _SETTLED
+        self._key, self._floor, self._count = key, floor, 0
+        self._variety = (0.4 if settled else 1.0) * variety
 
     def look(self, change: float) -> np.random.Generator:
         """The next generator; this floor's own with the probability ``change`` times the variety."""
