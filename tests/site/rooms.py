@@ -75,6 +75,14 @@ def rough_links(made: Rooms, pairs: list[tuple[int, int]], meters: float = 0.02,
     return links
 
 
+def best_fit(T_world_scan: Tensor, truth: Tensor) -> Tensor:
+    """Meters (N,) between scanners and true ones after the rigid motion that lays them and their axes on each other."""
+    ends = torch.cat([torch.eye(3), -torch.eye(3)]).double() * 3.0
+    one, other = ((T[:, :3, :3] @ ends.t()).transpose(1, 2) + T[:, None, :3, 3] for T in (T_world_scan, truth))
+    motion = tr.kabsch(one.reshape(-1, 3), other.reshape(-1, 3))
+    return (compose(motion, T_world_scan) - truth)[:, :3, 3].norm(dim=1)
+
+
 def _scene(count: int, generator: torch.Generator, *, furnished: bool) -> _Rectangles:
     low, high = [], []  # of solid boxes
     end = count * (LENGTH + WALL)

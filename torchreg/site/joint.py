@@ -38,11 +38,14 @@ from torchreg.site.tolerance import Tolerance
 _STILL = 5e-5  # meters: rounds end when no scan moves by more
 _ROUNDS = 15
 _NARROWER = 0.5  # of the reach, from one round to the next
-_LOOSER = 9.0  # times the variance that a link gives a motion, from which on it says more than the surfaces
+_SLOW = 0.7  # of the step before: where steps shrink no faster, half of them is taken
+_LOOSER = 2.0  # times the variance that a link gives a motion: beyond it, what else it stands on counts more
 _CELL = 8.0  # spacings of surfels, the edge of the cells that tell which scans overlap
 _AT_ONCE = 16  # sources that are measured against one target together
+_REPORTED = 16  # such lots, after which progress is reported
 _KEPT = 96  # scans whose surfels are kept in memory
-_SIGMAS = 9.0  # squared: three deviations
+_WORST = 0.25  # of the largest excess: scans that are as far astray are held back together
+_TURNS = 4  # of holding scans back, after which all that are astray are
 
 HELD_BACK = "refining all scans together would move it farther than its links allow: it is held by them alone"
 
@@ -92,12 +95,13 @@ def refine_together(
     with torch_on_one_thread():
         site = _Site(placement, links, known, _Loaded(surfels), reach, report)
         held_back: set[int] = set()
-        while True:
+        for turn in range(len(placement) + 1):
             poses, pairs = site.refined(held_back)
-            astray = site.astray(poses, tolerance) - held_back
+            astray = {scan: excess for scan, excess in site.astray(poses, tolerance).items() if scan not in held_back}
             if not astray:
                 break
-            held_back |= astray
+            least = _WORST * max(astray.values()) if turn < _TURNS else 0.0
+            held_back |= {scan for scan, excess in astray.items() if excess >= least}
         notes = tuple((HELD_BACK,) if scan in held_back else () for scan in range(len(placement)))
         return Together(site.placement_of(poses), notes, pairs)
 
@@ -172,7 +176,6 @@ class _Site:
         self.used = {(link.target, link.source): link for link in used}
         placed = (placement.group >= 0).nonzero()[:, 0].tolist()
         self.facts = {scan: _facts_of(surfels(scan)) for scan in placed}
-        self.rounds = 0
 
     def refined(self, held_back: set[int]) -> tuple[_Poses, int]:
         """The poses after all rounds, without the surfaces of scans that are held back; and the number of pairs."""
@@ -180,15 +183,18 @@ class _Site:
         kept: dict[_Task, _Kept] = {}
         T = self.placement.T_world_scan.clone()
         nearest = 2 * max((each.spacing for each in self.facts.values()), default=0.0)
-        reach = self.reach
+        reach, share, last = self.reach, 1.0, torch.inf
         for _ in range(_ROUNDS):
             self._measure(tasks, T, reach, kept)
-            poses = self._settled(T, kept)
+            poses = self._settled(T, kept, share)
             moved = self._moved(T, poses.T_world_scan)
             T = poses.T_world_scan
             if moved < _STILL and reach <= nearest:
                 break
-            reach = max(nearest, _NARROWER * reach) if reach > nearest else reach
+            if reach > nearest:
+                reach = max(nearest, _NARROWER * reach)
+            else:  # partners that change to and fro
+                share, last = (share / 2 if moved > _SLOW * last else share), moved
         return poses, sum(each.measured is not None for each in kept.values())
 
     def _tasks(self, held_back: set[int]) -> list[_Task]:
@@ -222,24 +228,26 @@ class _Site:
         done = len(tasks) - len(waiting)
         self.report(SiteProgress("refine", done, len(tasks)))
         parts = list(_parts(waiting))
-        for made in self._work(parts, between, reach):
-            kept.update(made)
-            done += len(made)
-        self.report(SiteProgress("refine", done, len(tasks)))
+        for begin in range(0, len(parts), _REPORTED):
+            for made in self._work(parts[begin : begin + _REPORTED], between, reach):
+                kept.update(made)
+                done += len(made)
+            self.report(SiteProgress("refine", done, len(tasks)))
 
     def _work(
         self, parts: list[list[_Task]], between: Mapping[_Task, Tensor], reach: float
     ) -> list[dict[_Task, _Kept]]:
+        device = self.surfels(parts[0][0].target).cloud.device
+
         def run(part: list[_Task]) -> dict[_Task, _Kept]:
             sources, target = [self.surfels(task.source) for task in part], self.surfels(part[0].target)
             faced = [self.facts[task.source].faced and self.facts[task.target].faced for task in part]
-            T = torch.stack([between[task] for task in part])
+            T = torch.stack([between[task] for task in part]).to(device)
             pairing = Pairing(range(len(part)), [0] * len(part))
             found = measure(Surfels.pack(sources), target, pairing, T, [reach] * len(part), faced)
             return {task: _Kept(one, between[task], reach) for task, one in zip(part, found, strict=True)}
 
-        on_cpu = not parts or self.surfels(parts[0][0].target).cloud.device.type == "cpu"
-        workers = kernel_threads() if on_cpu else 1
+        workers = kernel_threads() if device.type == "cpu" else 1
         return shared_out(run, parts, workers) if workers > 1 else list(map(run, parts))
 
     def _changed(self, task: _Task, T: Tensor, reach: float, kept: _Kept | None) -> bool:
@@ -248,8 +256,8 @@ class _Site:
         size = self.facts[task.source].size
         return _motion(kept.T_target_source, T, size) > 0.2 * _STILL
 
-    def _settled(self, T: Tensor, kept: Mapping[_Task, _Kept]) -> _Poses:
-        """The poses that all pairs agree on, links where surfaces say nothing."""
+    def _settled(self, T: Tensor, kept: Mapping[_Task, _Kept], share: float) -> _Poses:
+        """The poses that all pairs agree on, links where surfaces say nothing; reached from ``T`` by a share."""
         ties = []
         for key, link in self.used.items():
             one = kept.get(_Task(*key))
@@ -259,21 +267,24 @@ class _Site:
                 ties.append(_tie(task, one.measured))
         graph = site_graph(ties, self.known, len(T))
         start, fixed = _entered(graph, self.placement, T)
-        return _left(graph, self.placement, settle_poses(graph, start, fixed))
+        settled = settle_poses(graph, start, fixed)
+        step = compose(inverse(start), settled.poses)
+        step = rigid(rotation_of(share * rotation_vector(step[:, :3, :3])), share * step[:, :3, 3])
+        return _left(graph, self.placement, settled._replace(poses=compose(start, step)))
 
     def _moved(self, before: Tensor, after: Tensor) -> float:
         """Meters by which the points of any scan move."""
         return max((_motion(before[scan], after[scan], self.facts[scan].size) for scan in self.facts), default=0.0)
 
-    def astray(self, poses: _Poses, tolerance: Tolerance) -> set[int]:
-        """Scans that moved farther than links allow."""
+    def astray(self, poses: _Poses, tolerance: Tolerance) -> dict[int, float]:
+        """Scans that moved farther than links allow, and by how much, as ``Tolerance.excess`` has it."""
         variances = torch.diagonal(self.placement.covariance, dim1=1, dim2=2)
         motion = compose(poses.T_world_scan, inverse(self.placement.T_world_scan))
         turn = torch.linalg.vector_norm(rotation_vector(motion[:, :3, :3].nan_to_num()), dim=1)
         center = self.placement.center
         shift = torch.linalg.vector_norm(apply_rotation(motion[:, :3, :3], center) + motion[:, :3, 3] - center, dim=1)
         excess = tolerance.excess(turn, shift, variances[:, :3].mean(dim=1), variances[:, 3:].mean(dim=1))
-        return set((excess > 1).nonzero()[:, 0].tolist())
+        return {scan: float(excess[scan]) for scan in (excess > 1).nonzero()[:, 0].tolist()}
 
     def placement_of(self, poses: _Poses) -> Placement:
         """The placement with these poses, and how far links are from them."""
