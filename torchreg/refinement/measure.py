@@ -23,7 +23,8 @@ from torchreg.refinement.settle import Settling, SurfelPairs
 from torchreg.refinement.spread import normal_equations, residual_spread
 from torchreg.refinement.surfels import Surfels
 
-_LEAST_TURN, _LEAST_SHIFT = 1e-6, 1e-6  # radians and meters: deviations that no covariance goes below
+_LEAST = 1e-6  # meters, at the size of the overlap: a deviation that no covariance goes below
+_MOST = 10.0  # times the reach, likewise: nothing is known beyond
 
 
 class Measured(NamedTuple):
@@ -93,14 +94,19 @@ def measure(
     T = leave(pairs.frames, onwards, moved)
     middle = pairs.frames.target_center + pairs.frames.target_origin
     return [
-        _measured(T[b], middle[b], certainty(settling, b, float(pairs.spacing[b]))) if usable else None
+        _measured(T[b], middle[b], certainty(settling, b, float(pairs.spacing[b])), float(limit[b])) if usable else None
         for b, usable in enumerate(sound.tolist())
     ]
 
 
-def _measured(T: Tensor, middle: Tensor, known: Certainty) -> Measured | None:
-    least = T.new_tensor([_LEAST_TURN**2] * 3 + [_LEAST_SHIFT**2] * 3).diag()
-    covariance = (known.covariance + known.covariance.t()) / 2 + least
-    if not bool(covariance.isfinite().all()) or int(torch.linalg.cholesky_ex(covariance)[1]) != 0:
+def _measured(T: Tensor, middle: Tensor, known: Certainty, reach: float) -> Measured | None:
+    if not bool(known.covariance.isfinite().all()):
         return None
-    return Measured(T, covariance, known.center + middle, known.residuals)
+    unit = torch.cat(
+        [(1 / known.size).expand(3), torch.ones_like(known.size).expand(3)]
+    )  # of 1 m at the overlap's size
+    even = known.covariance / unit[:, None] / unit
+    values, vectors = torch.linalg.eigh((even + even.t()) / 2)
+    values = values.clamp(min=_LEAST**2, max=(_MOST * reach) ** 2)
+    covariance = (vectors * values) @ vectors.t() * unit[:, None] * unit
+    return Measured(T, (covariance + covariance.t()) / 2, known.center + middle, known.residuals)

@@ -44,10 +44,10 @@ _CELL = 8.0  # spacings of surfels, the edge of the cells that tell which scans 
 _AT_ONCE = 16  # sources that are measured against one target together
 _REPORTED = 16  # such lots, after which progress is reported
 _KEPT = 96  # scans whose surfels are kept in memory
-_WORST = 0.25  # of the largest excess: scans that are as far astray are held back together
+_WORST = 0.75  # of the largest excess: scans that are as far astray are held back together
 _TURNS = 4  # of holding scans back, after which all that are astray are
 
-HELD_BACK = "refining all scans together would move it farther than its links allow: it is held by them alone"
+HELD_BACK = "its surfaces would move it farther than its links allow: it is held by its links alone"
 
 
 class Together(NamedTuple):
@@ -277,14 +277,25 @@ class _Site:
         return max((_motion(before[scan], after[scan], self.facts[scan].size) for scan in self.facts), default=0.0)
 
     def astray(self, poses: _Poses, tolerance: Tolerance) -> dict[int, float]:
-        """Scans that moved farther than links allow, and by how much, as ``Tolerance.excess`` has it."""
-        variances = torch.diagonal(self.placement.covariance, dim1=1, dim2=2)
-        motion = compose(poses.T_world_scan, inverse(self.placement.T_world_scan))
-        turn = torch.linalg.vector_norm(rotation_vector(motion[:, :3, :3].nan_to_num()), dim=1)
-        center = self.placement.center
-        shift = torch.linalg.vector_norm(apply_rotation(motion[:, :3, :3], center) + motion[:, :3, 3] - center, dim=1)
-        excess = tolerance.excess(turn, shift, variances[:, :3].mean(dim=1), variances[:, 3:].mean(dim=1))
-        return {scan: float(excess[scan]) for scan in (excess > 1).nonzero()[:, 0].tolist()}
+        """Scans whose links the poses leave farther than is allowed, and by how much all of each are left.
+
+        Links are asked, not how far scans move: errors of many links add up, and what mends them moves scans far.
+        """
+        graph = site_graph(list(self.used.values()), (), len(self.placement))
+        variances = tolerance.variances(graph, self.placement.scale)
+        excess = []
+        for T in (self.placement.T_world_scan, poses.T_world_scan):
+            e = residuals(graph, _entered(graph, self.placement, T)[0])
+            turn, shift = (torch.linalg.vector_norm(part, dim=1) for part in e.split(3, dim=1))
+            excess.append(tolerance.excess(turn, shift, *variances))
+        far = excess[1] > excess[0].clamp(min=1)
+        result: dict[int, float] = {}
+        for first, second, much in zip(
+            *(part[far].tolist() for part in (graph.first, graph.second, excess[1])), strict=True
+        ):
+            for scan in (first, second):
+                result[scan] = result.get(scan, 0.0) + much
+        return result
 
     def placement_of(self, poses: _Poses) -> Placement:
         """The placement with these poses, and how far links are from them."""
