@@ -208,7 +208,9 @@ class _Site:
             if not spacings:
                 continue
             edge = _CELL * spacings[len(spacings) // 2]
-            cells = [self._cells(scan, T[scan], edge, T[members[0]]) for scan in members]
+            faced = all(self.facts[scan].faced for scan in members)
+            back = inverse(T[members[0]])  # to the frame of one scan, where numbers are small
+            cells = [self._cells(scan, compose(back, T[scan]), edge, faced=faced) for scan in members]
             for i, j in overlapping(cells):
                 pair = (members[i], members[j])
                 if pair not in linked:
@@ -216,10 +218,10 @@ class _Site:
         free = [task for task in sorted(tasks) if not held_back.intersection(task)]
         return [task for task in free if min(self.facts[scan].count for scan in task) > 0]
 
-    def _cells(self, scan: int, T: Tensor, edge: float, first: Tensor) -> FilledCells:
-        cloud = self.surfels(scan).cloud
-        # in the frame of one scan, where numbers are small
-        return filled_cells((cloud.points.double() + cloud.origin).cpu(), compose(inverse(first), T), edge)
+    def _cells(self, scan: int, T: Tensor, edge: float, *, faced: bool) -> FilledCells:
+        cloud = self.surfels(scan).cloud.to(device="cpu")
+        normals = cloud.points if cloud.normals is None else cloud.normals
+        return filled_cells(cloud.points.double() + cloud.origin, normals, T, edge, faced=faced)
 
     def _measure(self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept]) -> None:
         """Measure the pairs whose poses have changed since they were measured."""
@@ -319,7 +321,7 @@ class _Site:
 def _facts_of(surfels: Surfels) -> _Facts:
     points = surfels.cloud.points.double()
     if len(points) == 0:
-        return _Facts(0, 0.0, 0.0, faced=False, name=())
+        return _Facts(0, 0.0, 0.0, faced=True, name=())
     size = float((points - points.mean(dim=0)).square().sum(dim=1).mean().sqrt())
     faced = bool(surfels.cloud.viewpoint_known[0])
     return _Facts(len(points), surfels.spacing[0], size, faced, tuple(points[0].tolist()))

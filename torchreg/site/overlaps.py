@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.se3 import apply
+from torchreg.geometry.se3 import apply, apply_rotation
 
 _LEAST_SHARE = 0.1  # of the cells of the scan that fills fewer
 _LEAST_CELLS = 12
@@ -16,14 +16,30 @@ _MOST = 24  # pairs of a scan, those of the largest shares
 
 
 class FilledCells(NamedTuple):
-    """The cells of one frame that a scan fills."""
+    """The cells of one frame that the surfaces of a scan fill."""
 
-    corner: Tensor  # (C, 3) int64, multiples of the edge, each cell once
+    cell: Tensor  # (C, 4) int64, the corner in multiples of the edge and the axis that the surface faces, each once
 
 
-def filled_cells(points: Tensor, T_world_scan: Tensor, edge: float) -> FilledCells:
-    """The cells of ``edge`` meters that points (P, 3) float64 fill under a pose (4, 4)."""
-    return FilledCells(torch.floor(apply(T_world_scan, points) / edge).long().unique(dim=0))
+def filled_cells(points: Tensor, normals: Tensor, T_world_scan: Tensor, edge: float, *, faced: bool) -> FilledCells:
+    """The cells of ``edge`` meters that surfaces fill under a pose (4, 4).
+
+    A cell has a place for surfaces across each axis, and where they are ``faced`` for either side: so scans of two
+    rooms do not share the wall between them.
+
+    Args:
+        points: (P, 3) float64, meters.
+        normals: (P, 3) of unit length; towards the scanner where ``faced``.
+        T_world_scan: (4, 4) float64.
+        edge: meters.
+        faced: whether the sign of normals counts.
+    """
+    corner = torch.floor(apply(T_world_scan, points) / edge).long()
+    turned = apply_rotation(T_world_scan[:3, :3], normals.double())
+    axis = turned.abs().argmax(dim=1, keepdim=True)
+    away = turned.gather(1, axis) < 0
+    side = 2 * axis + away if faced else axis
+    return FilledCells(torch.cat([corner, side], dim=1).unique(dim=0))
 
 
 def overlapping(cells: Sequence[FilledCells], most: int = _MOST) -> list[tuple[int, int]]:
@@ -36,9 +52,9 @@ def overlapping(cells: Sequence[FilledCells], most: int = _MOST) -> list[tuple[i
     count = len(cells)
     if count == 0:
         return []
-    sizes = torch.tensor([len(each.corner) for each in cells])
+    sizes = torch.tensor([len(each.cell) for each in cells])
     scan = torch.arange(count).repeat_interleave(sizes)
-    every, cell = torch.cat([each.corner for each in cells]).unique(dim=0, return_inverse=True)
+    every, cell = torch.cat([each.cell for each in cells]).unique(dim=0, return_inverse=True)
     shared = torch.zeros(count, count, dtype=torch.int64)
     for number in range(count):
         filled = torch.zeros(len(every), dtype=torch.bool)
