@@ -16,19 +16,20 @@ from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import Output, check_outputs, standard_output, write_json
 from torchreg.cli.progress import batch_progress, reading_bar, step
+from torchreg.cli.site_frame import HowToFrame, framed, points_in_words, write_control_csv
 from torchreg.cli.wording import by_options
 from torchreg.errors import CloudFileError, expect, one_of, positive
 from torchreg.io import Reading, read_scans, write_cloud
 from torchreg.io.formats import WRITERS, alternatives, formats_in_words
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
-from torchreg.site.site_json import site_to_dict
 from torchreg.report import REPORT_SUFFIXES
-from torchreg.report.text import plain
+from torchreg.report.text import legible, plain
 from torchreg.settings import LARGEST_READ, Settings
 from torchreg.site.merged import merged_cloud
 from torchreg.site.register_site import register_site
 from torchreg.site.result import SiteResult
+from torchreg.site.site_json import site_to_dict
 from torchreg.types import Clouds
 from torchreg.verification import WORK
 
@@ -113,6 +114,7 @@ class _Scan(NamedTuple):
     cloud: Clouds
     trouble: str = ""  # why it could not be read
     notes: tuple[str, ...] = ()
+    posed: bool = False  # whether its file has a pose for it, which its points have applied
 
 
 @expanded
@@ -120,6 +122,7 @@ def site(
     scans: ScanPaths,
     reading: HowToRead,
     outputs: SiteOutputs,
+    wanted: HowToFrame,
     out: Annotated[
         Path,
         typer.Option(
@@ -163,19 +166,26 @@ def site(
     """
     where = opt.use(device, threads)
     one_of(effort, "--effort", tuple(WORK))
+    wanted.check()
     _check(scans, outputs, out)
     read = _read(scans, reading.reading())
     names = [scan.name for scan in read]
+    frame = wanted.frame(names, [scan.posed for scan in read])
     with batch_progress() as report:
         result = register_site(
             [scan.cloud.to(where) for scan in read], effort=effort, seed=seed, max_bytes=max_bytes, report=report
         )
-    result = _with_notes(result, read)
+    result, points, remarks = framed(_with_notes(result, read), frame, [scan.cloud for scan in read])
     out.mkdir(exist_ok=True)
     write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
     write_json(out / "site.json", site_to_dict(result, names, seed=seed))
     written = [out / "poses.csv", out / "site.json", *_write(outputs, result, read)]
+    if points:
+        write_control_csv(out / "control.csv", points, names)
+        written.append(out / "control.csv")
     _show(result, names)
+    for line in (*points_in_words(points, names), *remarks):
+        complain(legible(line))
     complain(f"wrote {', '.join(map(str, written))}")
     if not bool(result.placed.all()) or int(result.group.max()) > 0:
         raise typer.Exit(NOT_REGISTERED)
@@ -189,7 +199,7 @@ def _check(scans: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
     files = (
         Output("--merged", outputs.merged, tuple(WRITERS)),
         Output("--report", outputs.report, REPORT_SUFFIXES),
-        *(Output("--out", out / name) for name in ("poses.csv", "site.json") if out.is_dir()),
+        *(Output("--out", out / name) for name in ("poses.csv", "site.json", "control.csv") if out.is_dir()),
     )
     check_outputs(files, scans)
 
@@ -211,7 +221,8 @@ def _read(paths: Sequence[Path], reading: Reading) -> list[_Scan]:
             continue
         for number, file in enumerate(files):
             name = os.fspath(path) if len(files) == 1 else f"{path} [{file.scan or number}]"
-            scans.append(_Scan(name, file.cloud, notes=tuple(by_options(note) for note in file.notes)))
+            notes = tuple(by_options(note) for note in file.notes)
+            scans.append(_Scan(name, file.cloud, notes=notes, posed=file.pose is not None))
     if all(scan.trouble for scan in scans):
         raise CloudFileError(f"SCANS: expected files of scans, got none that can be read ({len(scans)} given)")
     return scans

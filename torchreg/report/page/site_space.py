@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchreg.geometry.up import up_of, upright_frame
 from torchreg.report.page.markup import paragraph
 from torchreg.report.page.viewer import ViewedCloud, viewer_html
 from torchreg.report.scene import thin
-from torchreg.report.up import up_of, upright_frame
 from torchreg.site.result import SiteResult
 from torchreg.types import Clouds
 
