@@ -159,7 +159,8 @@ def site(
 
     DIR gets poses.csv (scan, group, m00 to m33: x_world = R x_scan + t, row by row, in the frame of each scan's file;
     empty where a scan is not placed) and site.json (poses with their covariances, every candidate of every pair with
-    its verdict). Group 0 is the largest; groups that do not connect have frames of their own.
+    its verdict). Group 0 is the largest; groups that do not connect have frames of their own, level where half of the
+    scans agree about up. Known poses and control points (control.csv: their residuals) fix the frame instead.
 
     Exit code 0: all scans are placed in one frame. 2: bad usage, or no scan can be read. 3: some scans are not placed
     or not in one frame; the results say which and why.
@@ -167,7 +168,7 @@ def site(
     where = opt.use(device, threads)
     one_of(effort, "--effort", tuple(WORK))
     wanted.check()
-    _check(scans, outputs, out)
+    _check([*scans, *wanted.files], outputs, out)
     read = _read(scans, reading.reading())
     names = [scan.name for scan in read]
     frame = wanted.frame(names, [scan.posed for scan in read])
@@ -191,7 +192,7 @@ def site(
         raise typer.Exit(NOT_REGISTERED)
 
 
-def _check(scans: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
+def _check(inputs: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
     """Check before the work begins that everything can be written."""
     positive(outputs.spacing, "--spacing")
     fits = out.absolute().parent.is_dir() and (not out.exists() or out.is_dir())
@@ -201,7 +202,7 @@ def _check(scans: Sequence[Path], outputs: SiteOutputs, out: Path) -> None:
         Output("--report", outputs.report, REPORT_SUFFIXES),
         *(Output("--out", out / name) for name in ("poses.csv", "site.json", "control.csv") if out.is_dir()),
     )
-    check_outputs(files, scans)
+    check_outputs(files, inputs)
 
 
 def _read(paths: Sequence[Path], reading: Reading) -> list[_Scan]:

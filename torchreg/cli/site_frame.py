@@ -101,6 +101,12 @@ class HowToFrame:
         other = "--fix" if self.fix is not None else "--poses" if self.poses is not None else ""
         expect(self.control is None or not other, "--control", "neither --fix nor --poses beside it", other)
 
+    @property
+    def files(self) -> list[Path]:
+        """The tables that are read."""
+        poses = [] if self.poses in (None, OF_FILES) else [Path(str(self.poses))]
+        return [*poses, *([] if self.control is None else [self.control])]
+
     def frame(self, names: Sequence[str], posed: Sequence[bool]) -> SiteFrame:
         """What is known of the frame of scans of these names; ``posed``: whether their files have poses for them.
 

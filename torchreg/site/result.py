@@ -60,7 +60,7 @@ class SiteResult:
     """The poses of ``N`` scans, and what they stand on. A scan that is not placed is data: its reason.
 
     A group is what one frame holds; groups have nothing to do with each other. In every group the scan of the lowest
-    number has the identity.
+    number has the identity, unless the frame was chosen otherwise (``torchreg.site.frame``).
 
     Attributes:
         T_world_scan: (N, 4, 4) float64, rigid: x_world = R x_scan + t in meters, from the frame of each scan's file
