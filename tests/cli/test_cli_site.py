@@ -9,6 +9,9 @@ from problems import room_site, sphere_cloud
 from sites import errors
 
 import torchreg as tr
+from torchreg.geometry.se3 import rigid, transform
+from torchreg.geometry.small_motions import rotation_of
+from torchreg.io.poses_csv import write_poses_csv
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +109,9 @@ def test_a_file_of_several_scans_gives_them_all(run, tmp_path, rooms):
         (("--out", "out", "--merged", "whole.stl"), "--merged: expected a name that ends in"),
         (("--out", "out", "--spacing", "0"), "--spacing: expected"),
         (("--out", "out", "--effort", "plain"), "--effort: expected"),
+        (("--out", "out", "--fix", "0", "--control", "p.csv"), "--control: expected neither --fix nor --poses"),
+        (("--out", "out", "--poses", "p.csv", "--pose-sigma", "0"), "--pose-sigma: expected"),
+        (("--out", "out", "--report", "p.html", "--control", "p.html"), "--report: expected a file of its own"),
     ],
 )
 def test_usage_is_checked_before_anything_is_read(run, tmp_path, monkeypatch, words, message):
@@ -120,3 +126,64 @@ def test_no_scan_that_can_be_read_is_an_error(run, tmp_path):
     assert result.exit_code == 2
     assert "SCANS: expected files of scans" in result.stderr
     assert not (tmp_path / "out" / "poses.csv").exists()
+
+
+def test_a_fixed_scan_is_the_frame_and_known_poses_are_met(run, rooms, tmp_path):
+    paths, truth = rooms
+    result = run("site", *paths, "--out", tmp_path / "fixed", "--fix", "b.npz")
+    assert result.exit_code == 0, result.output
+    _, _, poses = poses_of(tmp_path / "fixed")
+    torch.testing.assert_close(poses[1], torch.eye(4, dtype=torch.float64), rtol=0, atol=1e-9)
+    assert not torch.allclose(poses[0], poses[1], atol=0.1)
+
+    write_poses_csv(tmp_path / "known.csv", ["c"], torch.tensor([0]), truth[2:])
+    result = run("site", *paths, "--out", tmp_path / "known", "--poses", tmp_path / "known.csv")
+    assert result.exit_code == 0, result.output
+    _, _, poses = poses_of(tmp_path / "known")
+    assert (poses - truth)[:, :3, 3].norm(dim=1).max() < 0.02
+
+
+def test_control_points_give_the_world_and_a_wrong_one_is_named(run, rooms, tmp_path):
+    paths, truth = rooms
+    lines = ["name,scan,x,y,z,X,Y,Z"]
+    for number, (scan, off) in enumerate(((0, 0.0), (1, 0.0), (2, 0.0), (0, 0.8), (1, 0.0))):
+        here = torch.tensor([1.0 + number, -2.0 * number, 0.5 * number**2], dtype=torch.float64)
+        there = truth[scan, :3, :3] @ here + truth[scan, :3, 3] + torch.tensor([500_000.0, 0.0, off])
+        lines.append(",".join([f"P{number}", paths[scan].name, *map(repr, [*here.tolist(), *there.tolist()])]))
+    (tmp_path / "points.csv").write_text("\n".join(lines))
+    result = run("site", *paths, "--out", tmp_path / "out", "--control", tmp_path / "points.csv")
+    assert result.exit_code == 0, result.output
+    assert "4 of 5 agree" in result.stderr
+    assert "control point P3 in" in result.stderr
+    _, _, poses = poses_of(tmp_path / "out")
+    off = (poses - truth)[:, :3, 3] - torch.tensor([500_000.0, 0.0, 0.0])
+    assert off.norm(dim=1).max() < 0.02
+    with open(tmp_path / "out" / "control.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["suspicious"] for row in rows] == ["0", "0", "0", "1", "0"]
+    assert abs(float(rows[3]["meters"]) - 0.8) < 0.05
+
+
+def test_frames_are_level_unless_asked_not_to(run, tmp_path):
+    site = room_site(3)
+    tilts = rotation_of(torch.tensor([[0.05, 0.0, 1.0], [-0.03, 0.04, 2.0], [0.0, 0.06, -1.0]]).double())
+    stand = rigid(tilts @ site.T_world_scan[:, :3, :3], torch.zeros(3, 3).double())
+    paths = [tmp_path / f"{number}.ply" for number in range(3)]
+    for path, scan, T in zip(paths, site.scans, stand, strict=True):
+        tr.write_cloud(path, transform(scan, T))
+    leans = []
+    for words in ((), ("--no-level",)):
+        result = run("site", *paths, "--out", tmp_path / "out", *words)
+        assert result.exit_code == 0, result.output
+        _, _, poses = poses_of(tmp_path / "out")
+        leans.append(torch.rad2deg(torch.acos((poses[:, :3, :3] @ tilts[:, :, 2, None])[:, 2, 0])))
+    assert leans[0].max() < 1.0
+    assert leans[1].min() > 2.0
+    assert torch.equal(poses[0], torch.eye(4, dtype=torch.float64))
+
+
+def test_poses_of_files_need_files_with_poses(run, rooms, tmp_path):
+    paths, _ = rooms
+    result = run("site", *paths, "--out", tmp_path / "out", "--poses", "files")
+    assert result.exit_code == 2
+    assert "--poses: expected files with poses" in result.stderr

@@ -176,6 +176,8 @@ def placed_site(group):
         pairs=(),
         scale=1.0,
         doubt=0.0,
+        control=(),
+        remarks=(),
         seconds=(),
     )
 

@@ -7,7 +7,8 @@ import torch
 from problems import random_transform, seeded
 from refusals import refuses
 
-from torchreg.io.poses_csv import COLUMNS, write_poses_csv
+from torchreg.errors import CloudFileError
+from torchreg.io.poses_csv import COLUMNS, read_poses_csv, write_poses_csv
 
 
 def rows_of(path):
@@ -41,3 +42,29 @@ def test_numbers_of_scans_that_differ_are_refused(tmp_path):
     with refuses("T_world_scan", "(2, 4, 4)"):
         write_poses_csv(tmp_path / "a.csv", ["a", "b"], torch.tensor([0, 0]), torch.eye(4).double()[None])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_written_is_read_for_scans_in_another_order(tmp_path):
+    poses = torch.stack([random_transform(seeded(seed), 1e6) for seed in range(4)])
+    poses[1] = torch.nan
+    names = ["x/a.ply", "x/b.ply", "=c.e57 [1]", "x/d.las"]
+    write_poses_csv(tmp_path / "poses.csv", names, torch.tensor([0, -1, 2, 0]), poses)
+    read = read_poses_csv(tmp_path / "poses.csv", [names[scan] for scan in (3, 2, 1, 0)])
+    assert [each.scan for each in read] == [3, 1, 0]
+    assert torch.equal(torch.stack([each.T_world_scan for each in read]), poses[[0, 2, 3]])
+
+
+def test_a_table_that_is_none_of_poses_is_refused(tmp_path):
+    path, eye = tmp_path / "p.csv", torch.eye(4).double()[None]
+    write_poses_csv(path, ["a"], torch.tensor([0]), eye)
+    with pytest.raises(CloudFileError, match="line 2: expected the name of a scan or a number from 0 to 0, got 'a'"):
+        read_poses_csv(path, ["b"])
+    write_poses_csv(path, ["a", "a"], torch.tensor([0, 0]), eye.repeat(2, 1, 1))
+    with pytest.raises(CloudFileError, match="line 3: expected one pose of a scan, got another of a"):
+        read_poses_csv(path, ["a"])
+    write_poses_csv(path, ["a"], torch.tensor([0]), 2 * eye)
+    with pytest.raises(ValueError, match="line 2: expected a last row 0 0 0 1"):
+        read_poses_csv(path, ["a"])
+    write_poses_csv(path, ["a"], torch.tensor([-1]), eye)
+    with pytest.raises(CloudFileError, match="at least one pose"):
+        read_poses_csv(path, ["a"])

@@ -32,6 +32,8 @@ def placed(poses, group):
         pairs=(),
         scale=1.0,
         doubt=0.0,
+        control=(),
+        remarks=(),
         seconds=(),
     )
 

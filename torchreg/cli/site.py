@@ -16,6 +16,7 @@ from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
+from torchreg.cli.site_frame import HowToFrame, points_in_words, write_control_csv
 from torchreg.cli.site_outputs import SiteOutputs, check_site_outputs, write_site_outputs
 from torchreg.cli.wording import by_options
 from torchreg.cli.work import Work
@@ -24,7 +25,7 @@ from torchreg.io import Reading
 from torchreg.io.formats import formats_in_words
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
-from torchreg.report.text import plain
+from torchreg.report.text import legible, plain
 from torchreg.settings import LARGEST_READ, Settings
 from torchreg.site.result import SiteResult
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
@@ -97,6 +98,7 @@ class Sharing:
 def site(
     scans: ScanPaths,
     reading: HowToRead,
+    wanted: HowToFrame,
     outputs: SiteOutputs,
     work: Work,
     sharing: Sharing,
@@ -126,7 +128,8 @@ def site(
 
     DIR gets poses.csv (scan, group, m00 to m33: x_world = R x_scan + t, row by row, in the frame of each scan's file;
     empty where a scan is not placed) and site.json (poses with their covariances, every candidate of every pair with
-    its verdict). Group 0 is the largest; groups that do not connect have frames of their own.
+    its verdict). Group 0 is the largest; groups that do not connect have frames of their own, level where half of the
+    scans agree about up. Known poses and control points (control.csv: their residuals) fix the frame instead.
 
     Exit code 0: all scans are placed in one frame. 2: bad usage, or no scan can be read. 3: some scans are not placed
     or not in one frame; the results say which and why.
@@ -134,8 +137,9 @@ def site(
     opt.use(work.device, None)
     one_of(effort, "--effort", tuple(WORK))
     work.check()
+    wanted.check()
     shard = sharing.chosen()
-    check_site_outputs(outputs, scans, out)
+    check_site_outputs(outputs, [*scans, *wanted.files], out)
     how = reading.reading()
     manifest = {
         **computing_versions(),
@@ -163,7 +167,14 @@ def site(
             complain(f"{count:,} pairs are registered; the same command without --shard places the scans")
             return
         run = run_site(
-            scans, store, engine, described=described, settings=settings, max_bytes=work.max_bytes, report=report
+            scans,
+            store,
+            engine,
+            described=described,
+            settings=settings,
+            frame=lambda found: wanted.frame(found.names, found.posed),
+            max_bytes=work.max_bytes,
+            report=report,
         )
     result, names = run.result, run.found.names
     for name, trouble in run.found.unreadable():
@@ -173,7 +184,12 @@ def site(
     write_json(out / "site.json", site_to_dict(result, names, seed=seed))
     written = [out / "poses.csv", out / "site.json"]
     written += write_site_outputs(outputs, result, run.found, how, written)
+    if result.control:
+        write_control_csv(out / "control.csv", result.control, names)
+        written.append(out / "control.csv")
     _show(result, names)
+    for line in (*points_in_words(result.control, names), *result.remarks):
+        complain(legible(line))
     complain(f"wrote {', '.join(map(str, written))}")
     if not bool(result.placed.all()) or int(result.group.max()) > 0:
         raise typer.Exit(NOT_REGISTERED)

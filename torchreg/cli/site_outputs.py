@@ -101,7 +101,7 @@ def check_site_outputs(outputs: SiteOutputs, scans: Sequence[Path], out: Path) -
         Output("--merged", outputs.merged, tuple(WRITERS)),
         Output("--redwood", outputs.redwood, _TRAJECTORY_SUFFIXES),
         Output("--report", outputs.report, REPORT_SUFFIXES),
-        *(Output("--out", out / name) for name in ("poses.csv", "site.json") if out.is_dir()),
+        *(Output("--out", out / name) for name in ("poses.csv", "site.json", "control.csv") if out.is_dir()),
         *check_placed(outputs.placed, _suffix(outputs), scans),
     )
     check_outputs(files, scans)

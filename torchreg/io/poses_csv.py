@@ -6,12 +6,17 @@ import csv
 import io
 import os
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
+from torchreg.geometry.rigid_check import expect_rigid
 from torchreg.io.atomic import write_text
+from torchreg.io.checks import require
 from torchreg.io.csv_cells import cell_of_text
+from torchreg.io.scan_table import read_scan_table, scan_number
 
 COLUMNS = ("scan", "group", *(f"m{row}{column}" for row in range(4) for column in range(4)))
 """Of the table: the pose is T_world_scan, row by row."""
@@ -41,3 +46,38 @@ def write_poses_csv(path: str | os.PathLike[str], scans: Sequence[str], group: T
         cells = [number, *map(repr, pose)] if number >= 0 else [""] * (len(COLUMNS) - 1)
         writer.writerow([cell_of_text(name), *cells])
     write_text(path, text.getvalue())
+
+
+class ScanPose(NamedTuple):
+    """The pose of one scan as a table has it."""
+
+    scan: int
+    T_world_scan: Tensor  # (4, 4) float64, meters
+
+
+def read_poses_csv(path: str | os.PathLike[str], names: Sequence[str]) -> list[ScanPose]:
+    """Read the poses of scans from a table such as ``write_poses_csv`` writes.
+
+    Needed are the columns scan and m00 to m33; rows without a pose are passed over.
+
+    Args:
+        path: the table.
+        names: of the scans. A row means one of them by its name, that of its file or its number.
+
+    Raises:
+        CloudFileError: a table that cannot be read, a scan that is not among these or comes twice, or a matrix that is
+            no rigid transform; the message names file and line.
+    """
+    numbers = COLUMNS[2:]
+    poses: dict[int, Tensor] = {}
+    for row in read_scan_table(path, ("scan", *numbers)):
+        if all(row.cells[column] == "" for column in numbers):
+            continue
+        text = row.cells["scan"]
+        scan = scan_number(text[1:] if text.startswith("'") else text, names, row.where)
+        require(scan not in poses, row.where, "one pose of a scan", f"another of {names[scan]}")
+        T = torch.tensor(row.numbers(numbers), dtype=torch.float64).view(4, 4)
+        expect_rigid(T, row.where)
+        poses[scan] = T
+    require(bool(poses), path, "at least one pose", "none")
+    return [ScanPose(scan, T) for scan, T in poses.items()]

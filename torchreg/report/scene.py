@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
+from torchreg.geometry.up import Up, up_of, upright_frame
 from torchreg.metrics.fit import relative_transform
-from torchreg.report.up import Up, up_of, upright_frame
 from torchreg.types import Clouds
 
 Box = tuple[NDArray[Any], NDArray[Any]]

@@ -38,11 +38,13 @@ class FileItem(NamedTuple):
 
 
 class SeenScan(NamedTuple):
-    """A scan of a file: its number there, its name where it has one, remarks on reading it, and the look as text."""
+    """A scan of a file: its number there, its name where it has one, remarks on reading it, whether the file has a
+    pose for it, which its points have applied, and the look as text."""
 
     number: int
     name: str
     notes: tuple[str, ...]
+    posed: bool
     look: str
 
 
@@ -113,7 +115,7 @@ def _look(item: FileItem, loaded: FileItem, device: str) -> list[SeenScan]:
     for number, scan in scans:
         file = finished(path, scan, item.reading)
         look = text_of_look(look_at(file.cloud, scaled=item.scaled))
-        seen.append(SeenScan(number, file.scan or "", (*file.notes, *notes), look))
+        seen.append(SeenScan(number, file.scan or "", (*file.notes, *notes), file.pose is not None, look))
     return seen
 
 

@@ -19,9 +19,10 @@ _APART = math.radians(5.0)  # between votes that are one
 def level(placement: Placement, up: Tensor) -> Placement:
     """Turn the frame of every group so that z is up.
 
-    Each scan has a vote, its own direction up under its pose. The vote that most others share within 5 degrees, and
-    more than half of all, gives the direction, as the mean of those that share it. A frame without such a vote stays as
-    it is, and so does that of known poses. The turn is the least one, about the zero of the frame.
+    Each scan has a vote, its own direction up under its pose. The vote that most others share within 5 degrees, more
+    than half of all votes and at least half of the scans of the group, gives the direction, as the mean of those that
+    share it. A frame without such a vote stays as it is, and so does that of known poses. The turn is the least one,
+    about the zero of the frame.
 
     Args:
         placement: N scans.
@@ -49,7 +50,7 @@ def level(placement: Placement, up: Tensor) -> Placement:
     for group in range(int(placement.group.max()) + 1 if len(placement) else 0):
         members = placement.group == group
         said = votes[members & ~placement.in_world]
-        direction = _shared(said[~said.isnan().any(dim=1)])
+        direction = _shared(said[~said.isnan().any(dim=1)], int(members.sum()) / 2)
         if direction is not None:
             turn[members] = _to_z(direction)
     both = torch.zeros(len(placement), 6, 6, dtype=torch.float64)
@@ -63,10 +64,11 @@ def level(placement: Placement, up: Tensor) -> Placement:
     )
 
 
-def _shared(votes: Tensor) -> Tensor | None:
-    """The direction (3,) that more than half of the votes (K, 3) share."""
+def _shared(votes: Tensor, least: float) -> Tensor | None:
+    """The direction (3,) that more than half of the votes (K, 3) share, and at least ``least`` of them."""
     near = votes @ votes.t() >= math.cos(_APART)  # (K, K)
-    if len(votes) == 0 or 2 * int(near.sum(dim=1).max()) <= len(votes):
+    most = int(near.sum(dim=1).max()) if len(votes) else 0
+    if 2 * most <= len(votes) or most < least:
         return None
     chosen = votes[near[near.sum(dim=1).argmax()]]
     return torch.nn.functional.normalize(chosen.sum(dim=0), dim=0)

@@ -10,6 +10,7 @@ from torchreg.errors import expect, expect_device, one_of
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import budget
+from torchreg.site.frame import SiteFrame
 from torchreg.site.pairs import PairPlan, Report
 from torchreg.site.result import SiteResult
 from torchreg.site.scans import look_at, site_scans
@@ -24,6 +25,7 @@ def register_site(
     options: RegistrationOptions | None = None,
     *,
     effort: str | None = None,
+    frame: SiteFrame | None = None,
     seed: int = 0,
     max_bytes: int | None = None,
     report: Report = lambda _: None,
@@ -40,6 +42,8 @@ def register_site(
             about one spacing, so that each is described once.
         effort: ``"fast"``, ``"balanced"`` or ``"thorough"``, as for ``register``; ``None`` takes that of the options,
             and balanced where they are derived or plain, which weighs no pose.
+        frame: a scan that is fixed, known poses, control points, or that z is up; by default the first scan of every
+            group has the identity.
         seed: of every random draw. The same seed gives the same bits, for any number of threads; another order of the
             scans gives the same poses, but for the frame and the last digits (nanometers).
         max_bytes: about the memory to work in, beyond the scans and their descriptions; ``None`` takes a quarter of
@@ -66,7 +70,7 @@ def register_site(
         known = site_scans([look_at(cloud, scaled=options is None) for cloud in clouds])
         plan = PairPlan(known, options, chosen)
         work = WorkInMemory(clouds, max_bytes=budget(max_bytes, clouds[0].device), report=report)
-        result = solved(known, plan, work, seed=seed, report=report)
+        result = solved(known, plan, work, frame=frame or SiteFrame(), seed=seed, report=report)
     return replace(result, seconds=(("looking", time.perf_counter() - begin), *result.seconds))
 
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
+from torchreg.site.control import JudgedPoint
 from torchreg.site.links import Link
 
 
@@ -60,7 +61,7 @@ class SiteResult:
     """The poses of ``N`` scans, and what they stand on. A scan that is not placed is data: its reason.
 
     A group is what one frame holds; groups have nothing to do with each other. In every group the scan of the lowest
-    number has the identity.
+    number has the identity, unless the frame was chosen otherwise (``torchreg.site.frame``).
 
     Attributes:
         T_world_scan: (N, 4, 4) float64, rigid: x_world = R x_scan + t in meters, from the frame of each scan's file
@@ -77,6 +78,8 @@ class SiteResult:
             covariances of the poses hold it already.
         doubt: what was taken from the log-odds of all links, since sure ones contradict each other; 0 as a rule. Where
             it is more, places of the site look alike, and only what loops confirm can be placed.
+        control: the control points, in the order in which they were given, beside where the poses put them.
+        remarks: on groups that have no frame of the world although one was wanted, in words.
         seconds: time of every stage, by name, in order.
     """
 
@@ -90,6 +93,8 @@ class SiteResult:
     pairs: tuple[TriedPair, ...]
     scale: float
     doubt: float
+    control: tuple[JudgedPoint, ...]
+    remarks: tuple[str, ...]
     seconds: tuple[tuple[str, float], ...]
 
     summarizer: ClassVar[Callable[[SiteResult], str]]

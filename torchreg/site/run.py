@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from torchreg.errors import CloudFileError, expect
 from torchreg.io import Reading
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import budget
+from torchreg.site.frame import SiteFrame
 from torchreg.site.pairs import PairPlan, Report
 from torchreg.site.register_site import effort_of
 from torchreg.site.result import SiteResult
@@ -83,6 +84,7 @@ def run_site(
     *,
     described: Path,
     settings: SiteSettings = _DEFAULT,
+    frame: Callable[[FoundScans], SiteFrame] = lambda _: SiteFrame(),
     max_bytes: int | None = None,
     report: Report = lambda _: None,
 ) -> SiteRun:
@@ -97,6 +99,7 @@ def run_site(
         engine: that does the work.
         described: the folder of descriptions, which exists; several runs may share it.
         settings: of the run, those that the store was made with.
+        frame: the frame that is wanted, of the scans that were found.
         max_bytes: about what pairs that are registered together may hold, over all workers.
         report: called at every step.
 
@@ -112,7 +115,7 @@ def run_site(
     for folder in sorted(shards.iterdir()) if shards.is_dir() else ():
         store.adopt(folder)
     plan, work, found = _begun(paths, store, engine, described, settings, max_bytes, report)
-    return SiteRun(found, solved(found.scans, plan, work, seed=settings.seed, report=report))
+    return SiteRun(found, solved(found.scans, plan, work, frame=frame(found), seed=settings.seed, report=report))
 
 
 def run_shard(

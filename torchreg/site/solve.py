@@ -9,15 +9,18 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchreg.refinement.surfels import Surfels, surfels_of
 from torchreg.site.doubt import doubt
 from torchreg.site.found import with_odds
-from torchreg.site.links import Link
-from torchreg.site.pairs import PairPlan, Report, SitePair, SiteProgress
+from torchreg.site.frame import Framed, SiteFrame, frame_of, judged_again, known_poses
+from torchreg.site.joint import refine_together
+from torchreg.site.links import KnownPose, Link
+from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, SiteProgress
 from torchreg.site.placement import Placement, place
 from torchreg.site.result import SiteLink, SiteResult
 from torchreg.site.rounds import ALL_SCANS, Pair, Standing, first_pairs, most_pairs, next_pairs
@@ -25,6 +28,7 @@ from torchreg.site.scans import SiteScans
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
 from torchreg.site.work import PairFound, SiteWork
+from torchreg.types import Clouds
 
 _ALIKE = 2.0  # inlier thresholds that poses held to be one are apart, besides what their covariances allow
 _DEGREES = 2.0  # likewise
@@ -32,11 +36,14 @@ _DOUBTS = 4  # rounds of doubt
 _LITTLE = 0.5  # log-odds: doubt below changes nothing
 _ROUNDS = 8  # of pairs at most
 _TOLD = 500  # comparisons between reports
+_NOTHING = Clouds(torch.zeros(0, 3))
 
 
-def solved(scans: SiteScans, plan: PairPlan, work: SiteWork, *, seed: int, report: Report) -> SiteResult:
-    """Choose pairs, register them and place the scans."""
-    return _Solver(scans, plan, work, seed, report).solved()
+def solved(
+    scans: SiteScans, plan: PairPlan, work: SiteWork, *, frame: SiteFrame, seed: int, report: Report
+) -> SiteResult:
+    """Choose pairs, register them, place the scans and refine all of them together, in the frame that is wanted."""
+    return _Solver(scans, plan, work, seed, report, frame).solved()
 
 
 def registered_share(
@@ -61,16 +68,14 @@ class Trusted(NamedTuple):
     doubt: float
 
 
-def placed(candidates: Sequence[Sequence[Link]], count: int, threshold: float) -> Trusted:
-    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less.
-
-    ``threshold`` is the widest inlier threshold of the pairs, in meters.
-    """
-    tolerance = Tolerance(meters=_ALIKE * threshold, degrees=_DEGREES)
+def placed(
+    candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, known: Sequence[KnownPose] = ()
+) -> Trusted:
+    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less."""
     less = 0.0
     for _ in range(_DOUBTS):
         links = [link for pair in candidates for link in with_odds(pair, [one.log_odds - less for one in pair])]
-        placement = place(links, count, tolerance=tolerance)
+        placement = place(links, count, known=known, tolerance=tolerance)
         more = doubt(links, placement)
         if more < _LITTLE:
             break
@@ -85,9 +90,15 @@ class _Solver:
     work: SiteWork
     seed: int
     report: Report
+    frame: SiteFrame = field(default_factory=SiteFrame)
     found: dict[tuple[int, int], PairFound] = field(default_factory=dict)
     pairs: list[SitePair] = field(default_factory=list)
+    keys: dict[int, DescriptionKey] = field(default_factory=dict)
+    notes: tuple[tuple[str, ...], ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.notes = ((),) * len(self.scans)
 
     def solved(self) -> SiteResult:
         if len(self.plan.usable) <= ALL_SCANS:
@@ -95,7 +106,7 @@ class _Solver:
             trusted = self._placed()
         else:
             trusted = self._in_rounds()
-        return self._result(trusted)
+        return self._result(trusted, self._refined(trusted))
 
     def registered_share(self, share: slice) -> int:
         if len(self.plan.usable) <= ALL_SCANS:
@@ -146,6 +157,7 @@ class _Solver:
         pairs = [self.plan.pair(*pair) for pair in wanted]
         total = len(self.found) + len(pairs)
         self.pairs += pairs
+        self.keys |= {key.scan: key for pair in pairs for key in pair.sides()}
         self._tell(total)
         for part in self.work.registered(pairs, self.seed):
             self.found |= {(one.tried.source, one.tried.target): one for one in part}
@@ -159,11 +171,52 @@ class _Solver:
     def _placed(self) -> Trusted:
         begin = time.perf_counter()
         self.report(SiteProgress("place", 0, len(self.scans)))
-        threshold = max((pair.options.inlier_threshold for pair in self.pairs), default=1.0)
-        trusted = placed([self.found[pair].links for pair in self._tried()], len(self.scans), threshold)
+        candidates = [self.found[pair].links for pair in self._tried()]
+        trusted = placed(candidates, len(self.scans), self._tolerance, known_poses(self.frame, self._thinned()))
         self.report(SiteProgress("place", len(self.scans), len(self.scans)))
         self._spent("placing", begin)
         return trusted
+
+    @property
+    def _reach(self) -> float:
+        """Meters, the widest inlier threshold of the pairs."""
+        return max((pair.options.inlier_threshold for pair in self.pairs), default=1.0)
+
+    @property
+    def _tolerance(self) -> Tolerance:
+        return Tolerance(meters=_ALIKE * self._reach, degrees=_DEGREES)
+
+    def _refined(self, trusted: Trusted) -> Framed:
+        """The scans in the frame that is wanted, refined together."""
+        begin = time.perf_counter()
+        framed = frame_of(trusted.placement, self.frame, self._thinned())
+        if any(pair.options.refine != "none" for pair in self.pairs):
+            refined = refine_together(
+                framed.placement,
+                trusted.links,
+                self._surfels,
+                tolerance=self._tolerance,
+                reach=self._reach,
+                known=framed.known,
+                report=self.report,
+            )
+            points = judged_again(framed.points, refined.placement)
+            framed = framed._replace(placement=refined.placement, points=points)
+            self.notes = refined.notes
+        self._spent("refining together", begin)
+        return framed
+
+    def _key(self, scan: int) -> DescriptionKey | None:
+        """A description of a scan; ``None`` where it is in no pair."""
+        return self.keys.get(scan)
+
+    def _surfels(self, scan: int) -> Surfels:
+        key = self._key(scan)
+        surfels = None if key is None else self.work.described(key).surfels
+        return surfels_of(_NOTHING, 1) if surfels is None else surfels
+
+    def _thinned(self) -> Sequence[Clouds]:
+        return _Thinned(self)
 
     def _tried(self) -> list[tuple[int, int]]:
         """The pairs that were registered, in the order of the plan."""
@@ -188,8 +241,8 @@ class _Solver:
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - begin
         return now
 
-    def _result(self, trusted: Trusted) -> SiteResult:
-        placement = trusted.placement
+    def _result(self, trusted: Trusted, framed: Framed) -> SiteResult:
+        placement = framed.placement
         judged = zip(
             trusted.links,
             placement.used.tolist(),
@@ -207,13 +260,29 @@ class _Solver:
             covariance=placement.covariance,
             center=placement.center,
             reason=tuple(_reason(self.scans, scan, why) for scan, why in enumerate(placement.reason)),
-            notes=self.scans.notes,
+            notes=tuple((*first, *more) for first, more in zip(self.scans.notes, self.notes, strict=True)),
             links=tuple(SiteLink(*each) for each in judged),
             pairs=tuple(self.found[pair].tried for pair in self._tried()),
             scale=placement.scale,
             doubt=trusted.doubt,
+            control=framed.points,
+            remarks=framed.remarks,
             seconds=tuple(self.seconds.items()),
         )
+
+
+class _Thinned(Sequence[Clouds]):
+    """The scans as they were described; without points where they are in no pair."""
+
+    def __init__(self, solver: _Solver) -> None:
+        self._solver = solver
+
+    def __len__(self) -> int:
+        return len(self._solver.scans)
+
+    def __getitem__(self, scan: Any) -> Any:  # noqa: ANN401
+        key = self._solver._key(range(len(self))[scan])
+        return _NOTHING if key is None else self._solver.work.described(key).cloud
 
 
 def _reason(scans: SiteScans, scan: int, why: str) -> str:

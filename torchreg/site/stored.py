@@ -14,7 +14,7 @@ from torchreg.batch.engine import Engine, Outcome, stop_without_room
 from torchreg.geometry.numerics.partition import partition
 from torchreg.io import Reading
 from torchreg.io.result_json import plain_data
-from torchreg.refinement.surfels import Surfels
+from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
 from torchreg.site import files
 from torchreg.site.files import FileItem, ScanItem, ScanSource, SeenScan, SketchItem, SliceItem
@@ -38,12 +38,14 @@ class FoundScans(NamedTuple):
         names: of every scan; the path of its file, with its name or number there where the file has several.
         files: of every scan, the path of its file and the place of that among those given: one may be given twice.
         sources: where each is read; ``None`` where the file cannot be read.
+        posed: whether its file has a pose for each, which its points have applied.
         scans: what is known of each.
     """
 
     names: tuple[str, ...]
     files: tuple[tuple[str, int], ...]
     sources: tuple[ScanSource | None, ...]
+    posed: tuple[bool, ...]
     scans: SiteScans
 
     def unreadable(self) -> list[tuple[str, str]]:
@@ -92,7 +94,7 @@ def scans_in_files(
     names: list[str] = []
     given: list[tuple[str, int]] = []
     sources: list[ScanSource | None] = []
-    looks, reasons, notes = [], [], []
+    looks, reasons, notes, posed = [], [], [], []
     for place, item in enumerate(items):
         if place in trouble:
             rows: list[SeenScan | None] = [None]
@@ -104,11 +106,14 @@ def scans_in_files(
             given.append((item.path, place))
             sources.append(None if one is None else ScanSource(item.path, one.number, reading))
             looks.append(None if one is None else look_of_text(one.look))
+            posed.append(one is not None and one.posed)
             reasons.append(trouble.get(place, ""))
             notes.append(() if one is None else one.notes)
     scans = site_scans(looks, reasons)
     remarks = tuple((*first, *more) for first, more in zip(notes, scans.notes, strict=True))
-    return FoundScans(tuple(names), tuple(given), tuple(sources), SiteScans(scans.looks, scans.trouble, remarks))
+    return FoundScans(
+        tuple(names), tuple(given), tuple(sources), tuple(posed), SiteScans(scans.looks, scans.trouble, remarks)
+    )
 
 
 class StoredWork:
@@ -182,9 +187,9 @@ class StoredWork:
             else:
                 yield self._keep(places, outcome, pairs, names)
 
-    def surfels(self, key: DescriptionKey) -> Surfels | None:
+    def described(self, key: DescriptionKey) -> DescribedClouds:
         """As ``SiteWork``'s."""
-        return files.described_scan(self._item(key), "cpu").surfels
+        return files.described_scan(self._item(key), "cpu")
 
     def _run(
         self, slices: Sequence[list[int]], pairs: Sequence[SitePair], seed: int

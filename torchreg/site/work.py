@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchreg.geometry.numerics.partition import partition
 from torchreg.refinement.refine import Refined, refine_on_surfels
-from torchreg.refinement.surfels import Surfels
 from torchreg.registration.describe import describe_by
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
@@ -53,8 +52,8 @@ class SiteWork(Protocol):
     def registered(self, pairs: Sequence[SitePair], seed: int) -> Iterator[list[PairFound]]:
         """Register pairs, in any order, some at a time."""
 
-    def surfels(self, key: DescriptionKey) -> Surfels | None:
-        """The surfels of a described scan; ``None`` where poses are not to be refined."""
+    def described(self, key: DescriptionKey) -> DescribedClouds:
+        """The described scan of a key, a batch of one."""
 
 
 Sides = Callable[[DescriptionKey], DescribedClouds]
@@ -123,10 +122,10 @@ class WorkInMemory:
         for places in self._slices(pairs):
             yield registered_slice([pairs[place] for place in places], self._described.__getitem__, seed)
 
-    def surfels(self, key: DescriptionKey) -> Surfels | None:
+    def described(self, key: DescriptionKey) -> DescribedClouds:
         """As ``SiteWork``'s."""
         self._describe([key])
-        return self._described[key].surfels
+        return self._described[key]
 
     def _describe(self, keys: Sequence[DescriptionKey]) -> None:
         missing = [key for key in dict.fromkeys(keys) if key not in self._described]

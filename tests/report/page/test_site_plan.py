@@ -57,6 +57,8 @@ def site_of(poses, links, group=None, pairs=(), used=None):
         pairs=tuple(pairs),
         scale=1.0,
         doubt=0.0,
+        control=(),
+        remarks=(),
         seconds=(),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchreg.report.scene import thin
-from torchreg.report.up import up_of, upright_frame
+from torchreg.geometry.up import up_of, upright_frame
 from torchreg.site.result import SiteResult
 from torchreg.types import Clouds
 

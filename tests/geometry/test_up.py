@@ -9,8 +9,8 @@ import torch
 from problems import random_transform
 
 import torchreg as tr
+from torchreg.geometry.up import Up, up_of, upright_frame
 from torchreg.report.scene import scene_of
-from torchreg.report.up import Up, up_of, upright_frame
 from torchreg.report.views import VIEWS, axis_label, axis_words, view_label
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"

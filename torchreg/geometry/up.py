@@ -76,6 +76,16 @@ def up_of(points: NDArray[Any], viewpoint: NDArray[Any] | None, origin: NDArray[
     return Up(None, "no floor was found")
 
 
+def floor_normal(points: NDArray[Any], up: NDArray[Any], viewpoint: NDArray[Any] | None) -> NDArray[Any]:
+    """The normal (3,) of the floor, where there is one about across the direction ``up`` (3,); else that direction.
+
+    ``up_of`` takes z for up in a frame that is about level; this is how the floor itself lies. Arguments as there.
+    """
+    some = points[:_POINTS]
+    floor = _floor(some, up, _LEVEL, viewpoint) if len(some) >= _LEAST else None
+    return up if floor is None else floor.normal
+
+
 def upright_frame(up: Up, points: NDArray[Any], viewpoint: NDArray[Any] | None) -> NDArray[Any]:
     """Rotate a frame so that its third axis is up: (3, 3), rows are the new axes; the identity where up is not known.
 

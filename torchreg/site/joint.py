@@ -1,0 +1,426 @@
+"""All scans of a frame refined together: ``refine_together``.
+
+Links tie scans along what was registered; where errors of many links add up, scans that see one wall show it twice.
+Here every pair that overlaps under the poses says where its surfaces would have it (``refinement/measure.py``), whether
+it was registered or not, and all poses follow by robust least squares (``optimize``), round after round, with nearer
+partners each time: a Gauss-Newton method on the planes of all scans, whose blocks are those of the pairs.
+
+In a motion that the surfaces of a pair leave open, such as that along a corridor, its link says what it is.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.errors import expect, positive
+from torchreg.geometry.numerics.threads import shared_out
+from torchreg.geometry.se3 import apply_rotation, compose, inverse, rigid
+from torchreg.geometry.small_motions import cross_matrix, rotation_of, rotation_vector
+from torchreg.native import kernel_threads, torch_on_one_thread
+from torchreg.refinement.measure import Measured, facing_scanner, measure
+from torchreg.refinement.pairing import Pairing
+from torchreg.refinement.surfels import Surfels
+from torchreg.site.graph import SiteGraph, residuals, site_graph
+from torchreg.site.links import KnownPose, Link
+from torchreg.site.optimize import SettledPoses, settle_poses
+from torchreg.site.overlaps import FilledCells, filled_cells, overlapping
+from torchreg.site.pairs import Report, SiteProgress
+from torchreg.site.placement import Placement
+from torchreg.site.tolerance import Tolerance
+
+_STILL = 5e-5  # meters: rounds end when no scan moves by more
+_ROUNDS = 15
+_NARROWER = 0.5  # of the reach, from one round to the next
+_SLOW = 0.7  # of the step before: where steps shrink no faster, half of them is taken
+_LOOSER = 2.0  # times the variance that a link gives a motion: beyond it, what else it stands on counts more
+_CELL = 8.0  # spacings of surfels, the edge of the cells that tell which scans overlap
+_AT_ONCE = 16  # sources that are measured against one target together
+_REPORTED = 16  # such lots, after which progress is reported
+_POINTS_PER_SURFEL = 5  # measured on buildings of rooms, 27,000 points a scan: 3 and 8 are worse
+_FEWEST_SURFELS, _MOST_SURFELS = 500, 20_000
+_KEPT = 96  # scans whose surfels are kept in memory
+_WORST = 0.75  # of the largest excess: scans that are as far astray are held back together
+_TURNS = 4  # of holding scans back, after which all that are astray are
+
+HELD_BACK = "its surfaces would move it farther than its links allow: it is held by its links alone"
+
+
+def surfel_count(points: int) -> int:
+    """How many surfels to make of a scan of so many points: a fifth, since the surfaces that scans share are far off.
+
+    There points are several times sparser than about the scanner, and surfels that follow those leave out the others.
+    """
+    return max(_FEWEST_SURFELS, min(_MOST_SURFELS, points // _POINTS_PER_SURFEL))
+
+
+class Together(NamedTuple):
+    """The poses of scans that were refined together."""
+
+    placement: Placement
+    notes: tuple[tuple[str, ...], ...]  # remarks on every scan
+    pairs: int  # pairs of scans whose surfaces took part
+
+
+def refine_together(
+    placement: Placement,
+    links: Sequence[Link],
+    surfels: Callable[[int], Surfels],
+    *,
+    tolerance: Tolerance,
+    reach: float,
+    known: Iterable[KnownPose] = (),
+    report: Report = lambda _: None,
+) -> Together:
+    """Refine the poses of all scans of every group together, on the surfaces that any two of them share.
+
+    Args:
+        placement: N scans, placed by ``links``.
+        links: those that it was made from, in the same order.
+        surfels: gives the surfels of a scan by its number; perhaps without rows. It must give the same whenever it is
+            called: only some scans are kept in memory.
+        tolerance: how far links may be off, besides what their covariances allow. A scan that would move farther is
+            held by its links alone, and a note says so.
+        reach: meters, how far off the poses of two scans may be to begin with: an inlier threshold.
+        known: the known poses that the scans were placed by.
+        report: called with a ``SiteProgress`` of the stage ``"refine"``.
+
+    Returns:
+        The placement with new poses, covariances and centers, and what they mean for the links. The same bits for any
+        number of threads.
+
+    Raises:
+        ValueError: other links or known poses than those of the placement.
+    """
+    expect(len(links) == len(placement.used), "links", f"those of the placement ({len(placement.used)})", len(links))
+    positive(reach, "reach")
+    known = list(known)
+    expect(bool(known) or not bool(placement.in_world.any()), "known", "the known poses of the placement", "none")
+    with torch_on_one_thread():
+        site = _Site(placement, links, known, _Loaded(surfels), reach, report)
+        held_back: set[int] = set()
+        for turn in range(len(placement) + 1):
+            poses, pairs = site.refined(held_back)
+            astray = {scan: excess for scan, excess in site.astray(poses, tolerance).items() if scan not in held_back}
+            if not astray:
+                break
+            least = _WORST * max(astray.values()) if turn < _TURNS else 0.0
+            held_back |= {scan for scan, excess in astray.items() if excess >= least}
+        notes = tuple((HELD_BACK,) if scan in held_back else () for scan in range(len(placement)))
+        return Together(site.placement_of(poses), notes, pairs)
+
+
+class _Poses(NamedTuple):
+    """Poses of all scans, NaN where not placed."""
+
+    T_world_scan: Tensor  # (N, 4, 4)
+    covariance: Tensor  # (N, 6, 6) of a small turn about ``center`` and a shift, in the frame of the group
+    center: Tensor  # (N, 3)
+    scale: float
+
+
+class _Task(NamedTuple):
+    """One pair to measure."""
+
+    target: int
+    source: int
+
+
+class _Kept(NamedTuple):
+    """What a pair was found to ask for, and where."""
+
+    measured: Measured | None
+    T_target_source: Tensor
+    reach: float
+
+
+class _Loaded:
+    """Surfels of scans, normals towards known scanners; the last ones used are kept."""
+
+    def __init__(self, surfels: Callable[[int], Surfels]) -> None:
+        self._surfels, self._lock = surfels, threading.Lock()
+        self._kept: OrderedDict[int, Surfels] = OrderedDict()
+
+    def __call__(self, scan: int) -> Surfels:
+        with self._lock:
+            if scan not in self._kept:
+                made = self._surfels(scan)
+                made = replace(made, cloud=replace(made.cloud, colors=None))
+                self._kept[scan] = facing_scanner(made) if bool(made.cloud.viewpoint_known[0]) else made
+            self._kept.move_to_end(scan)
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+            return self._kept[scan]
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What is kept of every scan."""
+
+    count: int  # surfels
+    spacing: float
+    size: float  # meters, root mean square distance of the surfels from their mean
+    faced: bool
+    name: tuple[float, ...]  # tells scans apart, wherever they stand among the others
+
+
+class _Site:
+    def __init__(
+        self,
+        placement: Placement,
+        links: Sequence[Link],
+        known: list[KnownPose],
+        surfels: _Loaded,
+        reach: float,
+        report: Report,
+    ) -> None:
+        self.placement, self.links, self.known, self.surfels, self.reach = placement, links, known, surfels, reach
+        self.report = report
+        used = [links[row] for row in placement.used.nonzero()[:, 0].tolist()]
+        self.used = {(link.target, link.source): link for link in used}
+        placed = (placement.group >= 0).nonzero()[:, 0].tolist()
+        self.facts = {scan: _facts_of(surfels(scan)) for scan in placed}
+
+    def refined(self, held_back: set[int]) -> tuple[_Poses, int]:
+        """The poses after all rounds, without the surfaces of scans that are held back; and the number of pairs."""
+        tasks = self._tasks(held_back)
+        kept: dict[_Task, _Kept] = {}
+        T = self.placement.T_world_scan.clone()
+        nearest = 2 * max((each.spacing for each in self.facts.values()), default=0.0)
+        reach, share, last = self.reach, 1.0, torch.inf
+        for _ in range(_ROUNDS):
+            self._measure(tasks, T, reach, kept)
+            poses = self._settled(T, kept, share)
+            moved = self._moved(T, poses.T_world_scan)
+            T = poses.T_world_scan
+            if moved < _STILL and reach <= nearest:
+                break
+            if reach > nearest:
+                reach = max(nearest, _NARROWER * reach)
+            else:  # partners that change to and fro
+                share, last = (share / 2 if moved > _SLOW * last else share), moved
+        return poses, sum(each.measured is not None for each in kept.values())
+
+    def _tasks(self, held_back: set[int]) -> list[_Task]:
+        """Pairs that are linked, in the roles of their links, and others that overlap, in those of their surfels."""
+        group, T = self.placement.group, self.placement.T_world_scan
+        tasks = {_Task(*pair) for pair in self.used}
+        linked = {tuple(sorted(pair)) for pair in self.used}
+        for number in range(int(group.max()) + 1 if len(group) else 0):
+            members = (group == number).nonzero()[:, 0].tolist()
+            spacings = sorted(self.facts[scan].spacing for scan in members if self.facts[scan].count > 0)
+            if not spacings:
+                continue
+            edge = _CELL * spacings[len(spacings) // 2]
+            faced = all(self.facts[scan].faced for scan in members)
+            back = inverse(T[members[0]])  # to the frame of one scan, where numbers are small
+            cells = [self._cells(scan, compose(back, T[scan]), edge, faced=faced) for scan in members]
+            for i, j in overlapping(cells):
+                pair = (members[i], members[j])
+                if pair not in linked:
+                    tasks.add(_Task(*sorted(pair, key=lambda scan: (self.facts[scan].count, self.facts[scan].name))))
+        free = [task for task in sorted(tasks) if not held_back.intersection(task)]
+        return [task for task in free if min(self.facts[scan].count for scan in task) > 0]
+
+    def _cells(self, scan: int, T: Tensor, edge: float, *, faced: bool) -> FilledCells:
+        cloud = self.surfels(scan).cloud.to(device="cpu")
+        normals = cloud.points if cloud.normals is None else cloud.normals
+        return filled_cells(cloud.points.double() + cloud.origin, normals, T, edge, faced=faced)
+
+    def _measure(self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept]) -> None:
+        """Measure the pairs whose poses have changed since they were measured."""
+        between = {task: compose(inverse(T[task.target]), T[task.source]) for task in tasks}
+        waiting = [task for task in tasks if self._changed(task, between[task], reach, kept.get(task))]
+        done = len(tasks) - len(waiting)
+        self.report(SiteProgress("refine", done, len(tasks)))
+        parts = list(_parts(waiting))
+        for begin in range(0, len(parts), _REPORTED):
+            for made in self._work(parts[begin : begin + _REPORTED], between, reach):
+                kept.update(made)
+                done += len(made)
+            self.report(SiteProgress("refine", done, len(tasks)))
+
+    def _work(
+        self, parts: list[list[_Task]], between: Mapping[_Task, Tensor], reach: float
+    ) -> list[dict[_Task, _Kept]]:
+        device = self.surfels(parts[0][0].target).cloud.device
+
+        def run(part: list[_Task]) -> dict[_Task, _Kept]:
+            sources, target = [self.surfels(task.source) for task in part], self.surfels(part[0].target)
+            faced = [self.facts[task.source].faced and self.facts[task.target].faced for task in part]
+            T = torch.stack([between[task] for task in part]).to(device)
+            pairing = Pairing(range(len(part)), [0] * len(part))
+            found = measure(Surfels.pack(sources), target, pairing, T, [reach] * len(part), faced)
+            return {task: _Kept(one, between[task], reach) for task, one in zip(part, found, strict=True)}
+
+        workers = kernel_threads() if device.type == "cpu" else 1
+        return shared_out(run, parts, workers) if workers > 1 else list(map(run, parts))
+
+    def _changed(self, task: _Task, T: Tensor, reach: float, kept: _Kept | None) -> bool:
+        if kept is None or kept.reach != reach:
+            return True
+        size = self.facts[task.source].size
+        return _motion(kept.T_target_source, T, size) > 0.2 * _STILL
+
+    def _settled(self, T: Tensor, kept: Mapping[_Task, _Kept], share: float) -> _Poses:
+        """The poses that all pairs agree on, links where surfaces say nothing; reached from ``T`` by a share."""
+        ties = []
+        for key, link in self.used.items():
+            one = kept.get(_Task(*key))
+            ties.append(link if one is None or one.measured is None else _mixed(link, one.measured))
+        for task, one in sorted(kept.items(), key=lambda item: item[0]):
+            if tuple(task) not in self.used and one.measured is not None:
+                ties.append(_tie(task, one.measured))
+        graph = site_graph(ties, self.known, len(T))
+        start, fixed = _entered(graph, self.placement, T)
+        settled = settle_poses(graph, start, fixed)
+        step = compose(inverse(start), settled.poses)
+        step = rigid(rotation_of(share * rotation_vector(step[:, :3, :3])), share * step[:, :3, 3])
+        return _left(graph, self.placement, settled._replace(poses=compose(start, step)))
+
+    def _moved(self, before: Tensor, after: Tensor) -> float:
+        """Meters by which the points of any scan move."""
+        return max((_motion(before[scan], after[scan], self.facts[scan].size) for scan in self.facts), default=0.0)
+
+    def astray(self, poses: _Poses, tolerance: Tolerance) -> dict[int, float]:
+        """Scans whose links the poses leave farther than is allowed, and by how much all of each are left.
+
+        Links are asked, not how far scans move: errors of many links add up, and what mends them moves scans far.
+        """
+        graph = site_graph(list(self.used.values()), (), len(self.placement))
+        variances = tolerance.variances(graph, self.placement.scale)
+        excess = []
+        for T in (self.placement.T_world_scan, poses.T_world_scan):
+            e = residuals(graph, _entered(graph, self.placement, T)[0])
+            turn, shift = (torch.linalg.vector_norm(part, dim=1) for part in e.split(3, dim=1))
+            excess.append(tolerance.excess(turn, shift, *variances))
+        far = excess[1] > excess[0].clamp(min=1)
+        result: dict[int, float] = {}
+        for first, second, much in zip(
+            *(part[far].tolist() for part in (graph.first, graph.second, excess[1])), strict=True
+        ):
+            for scan in (first, second):
+                result[scan] = result.get(scan, 0.0) + much
+        return result
+
+    def placement_of(self, poses: _Poses) -> Placement:
+        """The placement with these poses, and how far links are from them."""
+        graph = site_graph(self.links, self.known, len(self.placement))
+        start, _ = _entered(graph, self.placement, poses.T_world_scan)
+        e = residuals(graph, start)
+        back = graph.number.argsort()[: len(self.links)]
+        turn, shift = (torch.linalg.vector_norm(part, dim=1)[back] for part in e.split(3, dim=1))
+        one = ~self.placement.meters.isnan()
+        return replace(
+            self.placement,
+            T_world_scan=poses.T_world_scan,
+            covariance=poses.covariance,
+            center=poses.center,
+            meters=torch.where(one, shift, torch.nan),
+            degrees=torch.where(one, torch.rad2deg(turn), torch.nan),
+            scale=poses.scale,
+        )
+
+
+def _facts_of(surfels: Surfels) -> _Facts:
+    points = surfels.cloud.points.double()
+    if len(points) == 0:
+        return _Facts(0, 0.0, 0.0, faced=True, name=())
+    size = float((points - points.mean(dim=0)).square().sum(dim=1).mean().sqrt())
+    faced = bool(surfels.cloud.viewpoint_known[0])
+    return _Facts(len(points), surfels.spacing[0], size, faced, tuple(points[0].tolist()))
+
+
+def _parts(tasks: Sequence[_Task]) -> Iterator[list[_Task]]:
+    """Pairs of one target, some at once."""
+    part: list[_Task] = []
+    for task in tasks:
+        if part and (task.target != part[0].target or len(part) == _AT_ONCE):
+            yield part
+            part = []
+        part.append(task)
+    if part:
+        yield part
+
+
+def _motion(before: Tensor, after: Tensor, size: float) -> float:
+    """Meters by which points within ``size`` of the scanner move."""
+    turn = float((after[:3, :3] - before[:3, :3]).square().sum().div(2).sqrt())
+    return float((after[:3, 3] - before[:3, 3]).norm()) + turn * size
+
+
+def _tie(task: _Task, measured: Measured) -> Link:
+    """What a pair asks for as a link that is believed."""
+    return Link(
+        target=task.target,
+        source=task.source,
+        T_target_source=measured.T_target_source.cpu(),
+        log_odds=0.0,
+        probability=0.5,
+        covariance=measured.covariance.cpu(),
+        center=measured.center.cpu(),
+    )
+
+
+def _mixed(link: Link, measured: Measured) -> Link:
+    """What the surfaces of a pair ask for, and in motions that they leave open, what its link says.
+
+    In the axes in which both covariances are diagonal, each motion is that of the one or the other, with a smooth
+    passage: the two are not independent, so that they must not be joined as if they were.
+    """
+    one = _tie(_Task(link.target, link.source), measured)
+    arm = torch.eye(6, dtype=torch.float64)
+    arm[3:, :3] = -cross_matrix(one.center - link.center)
+    root = torch.linalg.cholesky(arm @ link.covariance @ arm.t())
+    half = torch.linalg.solve_triangular(root, one.covariance, upper=False)
+    whitened = torch.linalg.solve_triangular(root, half.t(), upper=False)
+    values, vectors = torch.linalg.eigh((whitened + whitened.t()) / 2)
+    axes = root @ vectors
+    D = compose(one.T_target_source, inverse(link.T_target_source))
+    shift = apply_rotation(D[:3, :3], one.center) + D[:3, 3] - one.center
+    off = torch.cat([rotation_vector(D[:3, :3]), shift])[:, None]
+    along = vectors.t() @ torch.linalg.solve_triangular(root, off, upper=False)
+    turn, moved = (axes @ (along / (1 + (values / _LOOSER).square())[:, None]))[:, 0].split(3)
+    R = rotation_of(turn)
+    T = compose(rigid(R, moved + one.center - apply_rotation(R, one.center)), link.T_target_source)
+    covariance = (axes * values.clamp(min=1e-12, max=1.0)) @ axes.t()
+    return replace(one, T_target_source=T, covariance=(covariance + covariance.t()) / 2)
+
+
+def _entered(graph: SiteGraph, placement: Placement, T_world_scan: Tensor) -> tuple[Tensor, Tensor]:
+    """Poses of scans as poses of the graph's nodes (N + 1, 4, 4), and which of these stay (N + 1,)."""
+    count = len(placement)
+    eye = torch.eye(3, dtype=torch.float64)
+    poses = torch.eye(4, dtype=torch.float64).repeat(count + 1, 1, 1)
+    fixed = torch.ones(count + 1, dtype=torch.bool)
+    placed = (placement.group >= 0).nonzero()[:, 0]
+    world = torch.where(placement.in_world[:, None], graph.zero[-1], 0.0)
+    at = compose(T_world_scan, rigid(eye.expand(count, 3, 3), graph.zero[:-1]))
+    at[:, :3, 3] -= world
+    poses[placed], fixed[placed] = at[placed], False
+    first: dict[int, int] = {}
+    for scan in placed.tolist():
+        if not bool(placement.in_world[scan]):
+            first.setdefault(int(placement.group[scan]), scan)
+    fixed[list(first.values())] = True
+    return poses, fixed
+
+
+def _left(graph: SiteGraph, placement: Placement, settled: SettledPoses) -> _Poses:
+    """Poses of the nodes as those of the scans."""
+    count = len(placement)
+    poses = settled.poses[:count]
+    R = poses[:, :3, :3]
+    center = poses[:, :3, 3] + torch.where(placement.in_world[:, None], graph.zero[-1], 0.0)
+    T = rigid(R, center - apply_rotation(R, graph.zero[:count]))
+    both = torch.zeros(count, 6, 6, dtype=torch.float64)
+    both[:, :3, :3] = both[:, 3:, 3:] = R
+    nothing = torch.where(placement.group >= 0, 0.0, torch.nan)[:, None]
+    covariance = both @ settled.covariance[:count] @ both.transpose(1, 2)
+    return _Poses(T + nothing[:, None], covariance + nothing[:, None], center + nothing, settled.scale)
