@@ -37,6 +37,13 @@ def scale_of(cloud: Clouds) -> Scale:
     return Scale(voxel, scale.spacing(voxel or None))
 
 
+def coarse_scale_of(cloud: Clouds, points: int) -> Scale:
+    """The scale of one cloud thinned to about so many points, where it has more."""
+    scale = CloudScale(cloud, points)
+    voxel = scale.thinning_voxel
+    return Scale(voxel, scale.spacing(voxel or None))
+
+
 def shared_scales(alone: Mapping[Key, Scale], pairs: Iterable[tuple[Key, Key]]) -> dict[Key, Scale]:
     """The scale that each cloud shares with those that it is linked to; clouds with at most one partner are left out.
 

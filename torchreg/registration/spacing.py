@@ -120,16 +120,17 @@ class CloudScale:
     Attributes:
         cloud: a batch of one.
         points: how many it has.
+        thinned: how many it is thinned to.
     """
 
-    def __init__(self, cloud: Clouds) -> None:
-        self.cloud, self.points = cloud, len(cloud.points)
+    def __init__(self, cloud: Clouds, thinned: int = THINNED_POINTS) -> None:
+        self.cloud, self.points, self.thinned = cloud, len(cloud.points), thinned
         self._spacings: dict[float | None, float] = {}
 
     @cached_property
     def thinning_voxel(self) -> float:
-        """Meters; the voxel edge that leaves about ``THINNED_POINTS``, not more; 0 for a cloud that has fewer."""
-        if self.points <= THINNED_POINTS:
+        """Meters; the voxel edge that leaves about ``thinned`` points, not more; 0 for a cloud that has fewer."""
+        if self.points <= self.thinned:
             return 0.0
         points = self.cloud.points.double()
         points = points - points.amin(dim=0)
@@ -142,7 +143,7 @@ class CloudScale:
             # cut as voxel_downsample does; at most 2^20 cells a side, so that three numbers fit into 62 bits
             grid = (points / middle + 0.5).long()
             occupied = len(torch.unique((grid[:, 0] << 42) + (grid[:, 1] << 21) + grid[:, 2]))
-            low, high = (middle, high) if occupied > THINNED_POINTS else (low, middle)
+            low, high = (middle, high) if occupied > self.thinned else (low, middle)
         return high
 
     def spacing(self, voxel_size: float | None = None) -> float:

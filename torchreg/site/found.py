@@ -25,6 +25,7 @@ from torchreg.site.links import Link, loose_covariance
 from torchreg.types import Clouds, RegistrationResult
 
 _LOWER, _REFINED = -1.8, 2.1  # b and c
+_THROUGH, _SOME = 2.0, 0.05  # d and the share that costs nothing
 _UNREFINED = 0.4  # inlier thresholds: deviation of a right candidate that was not refined (measured: 0.1 to 0.4)
 _FAINTEST = -12.0  # log-odds s: candidates below cannot be right, whatever their neighbors say
 _CHANCE = -2.2  # log-odds s: candidates above are refined
@@ -77,13 +78,24 @@ def links_of(result: RegistrationResult, pair: int, source: int, target: int) ->
 
 def has_chance(link: Link) -> bool:
     """Whether a candidate, with ``register``'s log-odds, is worth refining, and was not refined yet."""
-    return math.isnan(link.residual) and link.log_odds > _CHANCE
+    return math.isnan(link.residual) and is_worth_a_look(link)
+
+
+def is_worth_a_look(link: Link) -> bool:
+    """Whether a candidate, with ``register``'s log-odds, may be right."""
+    return link.log_odds > _CHANCE
 
 
 def weighed(links: Sequence[Link]) -> list[Link]:
     """The candidates of one pair with their log-odds and probabilities among the links of a site."""
-    odds = [one.log_odds + _LOWER + (0.0 if math.isnan(one.residual) else _REFINED) for one in links]
-    return with_odds(links, odds)
+    return with_odds(links, [_odds(one) for one in links])
+
+
+def _odds(link: Link) -> float:
+    odds = link.log_odds + _LOWER + (0.0 if math.isnan(link.residual) else _REFINED)
+    if not math.isnan(link.through):
+        odds -= _THROUGH * max(0.0, math.log(link.through / _SOME))
+    return odds
 
 
 def with_odds(links: Sequence[Link], odds: Sequence[float]) -> list[Link]:

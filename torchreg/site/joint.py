@@ -43,21 +43,11 @@ _LOOSER = 2.0  # times the variance that a link gives a motion: beyond it, what 
 _CELL = 8.0  # spacings of surfels, the edge of the cells that tell which scans overlap
 _AT_ONCE = 16  # sources that are measured against one target together
 _REPORTED = 16  # such lots, after which progress is reported
-_POINTS_PER_SURFEL = 5  # measured on buildings of rooms, 27,000 points a scan: 3 and 8 are worse
-_FEWEST_SURFELS, _MOST_SURFELS = 500, 20_000
 _KEPT = 96  # scans whose surfels are kept in memory
 _WORST = 0.75  # of the largest excess: scans that are as far astray are held back together
 _TURNS = 4  # of holding scans back, after which all that are astray are
 
 HELD_BACK = "its surfaces would move it farther than its links allow: it is held by its links alone"
-
-
-def surfel_count(points: int) -> int:
-    """How many surfels to make of a scan of so many points: a fifth, since the surfaces that scans share are far off.
-
-    There points are several times sparser than about the scanner, and surfels that follow those leave out the others.
-    """
-    return max(_FEWEST_SURFELS, min(_MOST_SURFELS, points // _POINTS_PER_SURFEL))
 
 
 class Together(NamedTuple):

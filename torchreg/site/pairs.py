@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -15,6 +16,12 @@ from torchreg.registration.spacing import options_of_spacings
 from torchreg.registration.units import units_failure
 from torchreg.site.scans import SiteScans
 from torchreg.types.lengths import besides_lengths
+
+ALL_SCANS = 32
+"""Sites of no more scans are registered with all their pairs."""
+
+_POINTS_PER_SURFEL = 5  # measured on buildings of rooms, 27,000 points a scan: 3 and 8 are worse
+_FEWEST_SURFELS, _MOST_SURFELS = 500, 20_000
 
 
 class SiteProgress(NamedTuple):
@@ -82,8 +89,18 @@ class PairPlan:
         self._place = {scan: place for place, scan in enumerate(self.usable)}
         self._known: dict[Hashable, RegistrationOptions] = {}
         if options is None:
-            self._alone = {scan: scale for scan in self.usable if (scale := scans.look(scan).scale) is not None}
+            scales = {
+                scan: scans.look(scan).coarse if self.is_large else scans.look(scan).scale for scan in self.usable
+            }
+            self._alone = {scan: scale for scan, scale in scales.items() if scale is not None}
+            points = sorted(scans.look(scan).facts.points for scan in self.usable)
+            self._surfels = surfel_count(points[len(points) // 2]) if points else 1
             self._shared = {**self._alone, **shared_scales(self._alone, self._of_one_unit())}
+
+    @property
+    def is_large(self) -> bool:
+        """Whether not all pairs are registered, and those that are on thinner scans."""
+        return len(self.usable) > ALL_SCANS
 
     def all_pairs(self) -> list[tuple[int, int]]:
         """All pairs (source, target)."""
@@ -110,7 +127,8 @@ class PairPlan:
             apart = (alone[0].spacing, alone[1].spacing)
             voxel = common.voxel if common.voxel > 0 else None
             effort = "balanced" if self._effort is None else self._effort
-            self._known[key] = options_of_spacings(apart, voxel, scale=common.spacing, colored=colored, effort=effort)
+            derived = options_of_spacings(apart, voxel, scale=common.spacing, colored=colored, effort=effort)
+            self._known[key] = replace(derived, refine_points=self._surfels)
         return self._known[key]
 
     def _of_one_unit(self) -> list[tuple[int, int]]:
@@ -124,3 +142,11 @@ def alike(pairs: Sequence[SitePair]) -> list[list[int]]:
     for place, pair in enumerate(pairs):
         groups.setdefault(pair.likeness, []).append(place)
     return list(groups.values())
+
+
+def surfel_count(points: int) -> int:
+    """How many surfels to make of a scan of so many points: a fifth, since the surfaces that scans share are far off.
+
+    There points are several times sparser than about the scanner, and surfels that follow those leave out the others.
+    """
+    return max(_FEWEST_SURFELS, min(_MOST_SURFELS, points // _POINTS_PER_SURFEL))

@@ -45,7 +45,7 @@ def text_of_look(look: ScanLook) -> str:
     """A look at a scan as one line."""
     facts, defect = look.facts, look.facts.defect
     shown = None if defect is None else [defect.kind, defect.text, dict(defect.figures)]
-    return json.dumps([facts._replace(defect=None), shown, look.digest, look.scale])
+    return json.dumps([facts._replace(defect=None), shown, look.digest, look.scale, look.coarse])
 
 
 def look_of_text(text: str) -> ScanLook:
@@ -55,13 +55,13 @@ def look_of_text(text: str) -> ScanLook:
         ValueError: another text.
     """
     try:
-        values, defect, digest, scale = json.loads(text)
+        values, defect, digest, *scales = json.loads(text)
         facts = CloudFacts(*values)
         facts = facts._replace(
             defect=None if defect is None else Failure(*defect),
             colors=None if facts.colors is None else (facts.colors[0], facts.colors[1]),
         )
-        return ScanLook(facts, digest, None if scale is None else Scale(*scale))
+        return ScanLook(facts, digest, *(None if scale is None else Scale(*scale) for scale in scales))
     except (TypeError, KeyError) as error:
         raise ValueError(f"expected a look at a scan as it was kept, got {text[:80]!r} ({error})") from None
 

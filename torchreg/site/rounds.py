@@ -18,10 +18,8 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.site.pairs import ALL_SCANS
 from torchreg.site.sketches import Sketch
-
-ALL_SCANS = 32
-"""Sites of no more scans are registered with all their pairs."""
 
 _SHARE = 0.2  # of the pairs of a larger site, at most
 _FIRST = 8  # partners of every scan

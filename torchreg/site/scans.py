@@ -9,9 +9,12 @@ from typing import NamedTuple
 from torchreg.errors import expect
 from torchreg.registration.inspect import CloudFacts, facts_of
 from torchreg.registration.same_clouds import digest_of
-from torchreg.registration.scales import Scale, scale_of
+from torchreg.registration.scales import Scale, coarse_scale_of, scale_of
 from torchreg.registration.units import units_failure
 from torchreg.types import Clouds
+
+COARSE_POINTS = 6_000
+"""Of a scan of a large site, at most."""
 
 
 class ScanLook(NamedTuple):
@@ -21,11 +24,13 @@ class ScanLook(NamedTuple):
         facts: of the scan as it was given.
         digest: of what it holds. It names a scan whatever its place among the others.
         scale: of its points; ``None`` where it was not asked for, or the scan cannot be used.
+        coarse: likewise, thinned to ``COARSE_POINTS``: in large sites a pair must not take long.
     """
 
     facts: CloudFacts
     digest: str
     scale: Scale | None
+    coarse: Scale | None
 
     @property
     def colored(self) -> bool:
@@ -36,7 +41,9 @@ class ScanLook(NamedTuple):
 def look_at(cloud: Clouds, *, scaled: bool) -> ScanLook:
     """Look at a scan, a batch of one; ``scaled`` asks for its scale."""
     facts = facts_of(cloud)[0]
-    return ScanLook(facts, digest_of(cloud), scale_of(cloud) if scaled and facts.defect is None else None)
+    scaled = scaled and facts.defect is None
+    scales = (scale_of(cloud), coarse_scale_of(cloud, COARSE_POINTS)) if scaled else (None, None)
+    return ScanLook(facts, digest_of(cloud), *scales)
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,10 +94,7 @@ def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor) -> Seen:
     return Seen(int(through.sum()), int(there.sum()))
 
 
-def seen_through(source: Sight | None, target: Sight | None, T_target_source: Tensor) -> float | None:
-    """The larger share that either scanner looked through; ``None`` where neither is known."""
-    shares = []
-    if target is not None and source is not None:
-        shares.append(seen_by(target, source, T_target_source).share)
-        shares.append(seen_by(source, target, inverse(T_target_source)).share)
-    return max(shares) if shares else None
+def seen_through(source: Sight, target: Sight, T_target_source: Tensor) -> float:
+    """The share of the surfaces of either scan that the scanner of the other looked through, the larger of both."""
+    forth, back = seen_by(target, source, T_target_source), seen_by(source, target, inverse(T_target_source))
+    return max(forth.share, back.share)

@@ -23,7 +23,7 @@ from torchreg.site.links import KnownPose, Link
 from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, SiteProgress
 from torchreg.site.placement import Placement, place
 from torchreg.site.result import SiteLink, SiteResult
-from torchreg.site.rounds import ALL_SCANS, Pair, Standing, first_pairs, most_pairs, next_pairs
+from torchreg.site.rounds import Pair, Standing, first_pairs, most_pairs, next_pairs
 from torchreg.site.scans import SiteScans
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
@@ -101,7 +101,7 @@ class _Solver:
         self.notes = ((),) * len(self.scans)
 
     def solved(self) -> SiteResult:
-        if len(self.plan.usable) <= ALL_SCANS:
+        if not self.plan.is_large:
             self._register(self.plan.all_pairs())
             trusted = self._placed()
         else:
@@ -109,7 +109,7 @@ class _Solver:
         return self._result(trusted, self._refined(trusted))
 
     def registered_share(self, share: slice) -> int:
-        if len(self.plan.usable) <= ALL_SCANS:
+        if not self.plan.is_large:
             pairs = self.plan.all_pairs()
         else:
             chosen = first_pairs(self._prospects().votes)[: most_pairs(len(self.plan.usable))]

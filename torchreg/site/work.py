@@ -17,10 +17,11 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import pair_bytes
 from torchreg.registration.refined import size_of
 from torchreg.registration.register import register_described
-from torchreg.site.found import has_chance, links_of, refined_link, weighed
+from torchreg.site.found import has_chance, is_worth_a_look, links_of, refined_link, weighed
 from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, Report, SitePair, SiteProgress, alike
 from torchreg.site.result import TriedPair
+from torchreg.site.sight import Sight, seen_through, sight_of
 from torchreg.site.sketches import Sketch, sketch_of
 from torchreg.types import Clouds
 
@@ -72,12 +73,29 @@ def registered_slice(pairs: Sequence[SitePair], sides: Sides, seed: int) -> list
         if refined is not None:
             for number, (row, rank) in enumerate(part):
                 links[row][rank] = refined_link(links[row][rank], refined, number)
+    _look_through(pairs, links, sides)
     found = []
     for number, (pair, own) in enumerate(zip(pairs, links, strict=True)):
         success, candidates = bool(result.success[number]), len(result.candidates[number])
         tried = TriedPair(pair.source, pair.target, success, result.reason[number], candidates)
         found.append(PairFound(tried, tuple(own if pair.options.refine == "none" else weighed(own))))
     return found
+
+
+def _look_through(pairs: Sequence[SitePair], links: Sequence[list[Link]], sides: Sides) -> None:
+    """Ask what the scanners looked through under every pose that has a chance."""
+    known: dict[DescriptionKey, Sight | None] = {}
+    for pair, own in zip(pairs, links, strict=True):
+        for key in pair.sides():
+            if key not in known:
+                surfels = sides(key).surfels
+                known[key] = None if surfels is None else sight_of(surfels)
+        source, target = (known[key] for key in pair.sides())
+        if source is None or target is None:
+            continue
+        for rank, link in enumerate(own):
+            if is_worth_a_look(link):
+                own[rank] = replace(link, through=seen_through(source, target, link.T_target_source))
 
 
 def _refined(pairs: Sequence[SitePair], sides: Sides, T_target_source: Tensor) -> Refined | None:

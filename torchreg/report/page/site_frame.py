@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.report.scene import thin
 from torchreg.geometry.up import up_of, upright_frame
+from torchreg.report.scene import thin
 from torchreg.site.result import SiteResult
 from torchreg.types import Clouds
 
