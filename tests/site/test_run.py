@@ -112,9 +112,7 @@ def test_shards_do_each_pair_once_and_together_all(paths, whole, tmp_path):
         (tmp_path / "final" / "run.json").write_text('{"seed": 0}')
         with SiteStore(tmp_path / "final", MANIFEST) as store:
             registered = []
-            result = run_site(
-                paths, store, engine, described=tmp_path / "described", report=registered.append
-            ).result
+            result = run_site(paths, store, engine, described=tmp_path / "described", report=registered.append).result
     assert same(result, whole)
     assert max(each.total for each in registered if each.stage == "describe") == 0  # nothing was left to register
 

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply_rotation
+from torchreg.site.bridges import bridges
 from torchreg.site.pairs import ALL_SCANS
 from torchreg.site.sketches import Sketch
 
@@ -108,16 +109,11 @@ def _loose(votes: Tensor, untried: Tensor, standing: Standing) -> Iterable[Pair]
 
 def _threads(votes: Tensor, untried: Tensor, standing: Standing) -> Iterable[Pair]:
     """Across every pair of scans without which a group would fall apart, those that have most votes."""
-    import networkx
-
-    graph = networkx.Graph(sorted(standing.holding))
-    for bridge in sorted(tuple(sorted(pair)) for pair in networkx.bridges(graph)):
-        graph.remove_edge(*bridge)
-        sides = torch.zeros(2, len(votes), dtype=torch.bool)
-        for side, scan in zip(sides, bridge, strict=True):
-            side[list(networkx.node_connected_component(graph, scan))] = True
-        graph.add_edge(*bridge)
-        yield from _best(votes, untried & sides[0][:, None] & sides[1], _MORE)
+    for bridge in bridges(sorted(standing.holding), len(votes)):
+        inside = torch.zeros(len(votes), dtype=torch.bool)
+        inside[list(bridge.smaller)] = True
+        group = standing.group[min(bridge.smaller)]
+        yield from _best(votes, untried & inside[:, None] & (~inside & (standing.group == group)), _MORE)
 
 
 def _near(overlap: Tensor, untried: Tensor) -> Iterable[Pair]:
