@@ -36,14 +36,14 @@ class Station(NamedTuple):
     away: float = 0.0  # meters to walk from the first stairs; 0 for rooms
 
 
-class Survey(NamedTuple):
+class BuildingSurvey(NamedTuple):
     """A building and the stations in it."""
 
     plan: BuildingPlan
     stations: tuple[Station, ...]  # in order of acquisition
 
 
-def plan_survey(stream: tuple[int, ...], *, scans: int, floors: int) -> Survey:
+def plan_survey(stream: tuple[int, ...], *, scans: int, floors: int) -> BuildingSurvey:
     """The smallest building of a random stream that has so many stations, and so many of them."""
     per_floor = scans / floors
     wings = max(1, math.ceil(per_floor / _STATIONS_PER_WING))
@@ -53,7 +53,7 @@ def plan_survey(stream: tuple[int, ...], *, scans: int, floors: int) -> Survey:
         plan = draw_building_plan(rng, floors=floors, wings=wings, modules=modules)
         stations = [*_on_floors(plan, rng), *_between_floors(plan)]
         if len(stations) >= scans:
-            return Survey(plan, _chosen(stations, scans, rng))
+            return BuildingSurvey(plan, _chosen(stations, scans, rng))
         modules += 1
 
 

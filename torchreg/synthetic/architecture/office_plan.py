@@ -20,7 +20,7 @@ STAIR_MODULES = 3  # width of a stairwell
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class PlanCell:
     """A room or a stairwell in the plan; its own frame is that of ``rooms.py``."""
 
     kind: RoomKind | None  # None for a stairwell
@@ -50,7 +50,7 @@ class BuildingPlan:
     wings: int  # a count
     corridor: float  # width
     depth: float  # of the rooms
-    cells: tuple[Cell, ...]
+    cells: tuple[PlanCell, ...]
     walls: Array  # (3,)
     frames: Array  # (3,) doors and windows
     accents: Array  # (floors, 3) signs and painted walls of each floor
@@ -65,7 +65,7 @@ class BuildingPlan:
         return wing * (self.corridor + 2 * self.depth)
 
     @property
-    def stairwells(self) -> tuple[Cell, ...]:
+    def stairwells(self) -> tuple[PlanCell, ...]:
         """The cells with stairs."""
         return tuple(cell for cell in self.cells if cell.kind is None)
 
@@ -74,7 +74,7 @@ def draw_building_plan(rng: np.random.Generator, *, floors: int, wings: int, mod
     """A random plan with so many floors and wings, each wing so many modules long."""
     module, depth, corridor = rng.uniform(1.2, 1.3), rng.uniform(5.2, 5.9), rng.uniform(2.2, 2.7)
     height, storey = rng.uniform(2.7, 2.9), rng.uniform(3.3, 3.6)
-    cells: list[Cell] = []
+    cells: list[PlanCell] = []
     for wing in range(wings):
         for facing in (-1, 1):
             stairs = floors > 1 and (facing == (-1) ** (wing + 1) or modules > 44)
@@ -129,7 +129,7 @@ def _cells(
     size: tuple[float, float],
     *,
     outside: bool,
-) -> list[Cell]:
+) -> list[PlanCell]:
     depth, height = size
     through_y = 0.62 * depth  # of the doors between rooms
     opened = [i > 0 and None not in kinds[i - 1 : i + 1] and rng.random() < 0.3 for i in range(len(kinds))]
@@ -142,7 +142,7 @@ def _cells(
         beside = [(-width / 2, through_y)] * opened[i] + [(width / 2, through_y)] * any(opened[i + 1 : i + 2])
         middle = edge + width / 2
         cells.append(
-            Cell(
+            PlanCell(
                 kind=kind,
                 x=middle if facing > 0 else length - middle,
                 y=y,
