@@ -138,7 +138,7 @@ def _cells(
         width = module * (kind.modules if kind else STAIR_MODULES)
         side = int(rng.choice([-1, 1]))
         door = side * (width / 2 - rng.uniform(0.85, 1.0)) if kind else 0.0
-        stations = _stations(width, depth, door) if kind else ()
+        stations = _stations(kind, width, depth, door) if kind else ()
         beside = [(-width / 2, through_y)] * opened[i] + [(width / 2, through_y)] * any(opened[i + 1 : i + 2])
         middle = edge + width / 2
         cells.append(
@@ -158,7 +158,10 @@ def _cells(
     return cells
 
 
-def _stations(width: float, depth: float, door: float) -> tuple[tuple[float, float], ...]:
-    """Tripods of a room: one behind the door, from where the corridor shows; in wide rooms another far from it."""
-    first = (door - math.copysign(0.1, door), 0.24 * depth)
+def _stations(kind: RoomKind, width: float, depth: float, door: float) -> tuple[tuple[float, float], ...]:
+    """Tripods of a room: one behind the door, from where the corridor shows; in wide rooms another far from it.
+
+    Where the door is all that shows of the corridor, the tripod stands close behind it.
+    """
+    first = (door - math.copysign(0.1, door), (0.19 if kind.front == "closed" else 0.24) * depth)
     return (first,) if width < 6.5 else (first, (-0.6 * door, 0.24 * depth))
