@@ -19,7 +19,7 @@ import torch
 
 from torchreg.errors import at_least, expect
 from torchreg.synthetic.architecture.office_floor import corridors, lamps_of, room_shell
-from torchreg.synthetic.architecture.office_plan import BuildingPlan, Cell
+from torchreg.synthetic.architecture.office_plan import BuildingPlan, PlanCell
 from torchreg.synthetic.architecture.rooms import furnished
 from torchreg.synthetic.architecture.stairs import stair_lamps, stairwell
 from torchreg.synthetic.scene import Array
@@ -172,7 +172,7 @@ class LampRaster:
         return np.asarray(self._raster[i, j] + self._count * floor[:, None])
 
 
-def _lamps_of(plan: BuildingPlan, cell: Cell) -> list[tuple[float, float, float]]:
+def _lamps_of(plan: BuildingPlan, cell: PlanCell) -> list[tuple[float, float, float]]:
     lamps = stair_lamps(plan, cell) if cell.kind is None else lamps_of(cell.interior)
     return [(*cell.in_plan(x, y), z) for x, y, z in lamps]
 

@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchreg.synthetic.architecture.office_plan import BuildingPlan, draw_building_plan
+from torchreg.synthetic.architecture.office_plan import BuildingPlan, PlanCell, draw_building_plan
 from torchreg.synthetic.architecture.stairs import landing_station, middle_station
 from torchreg.synthetic.scene import Array
 
 _STATION_EVERY = 4.6  # meters at most between stations of a corridor
+_ASIDE = 1.1  # meters that a station is moved along the corridor to stand before a door
 _FEWEST_MODULES = 7
 _STATIONS_PER_WING = 55  # of a floor; more make another wing
 
@@ -36,14 +37,14 @@ class Station(NamedTuple):
     away: float = 0.0  # meters to walk from the first stairs; 0 for rooms
 
 
-class Survey(NamedTuple):
+class BuildingSurvey(NamedTuple):
     """A building and the stations in it."""
 
     plan: BuildingPlan
     stations: tuple[Station, ...]  # in order of acquisition
 
 
-def plan_survey(stream: tuple[int, ...], *, scans: int, floors: int) -> Survey:
+def plan_survey(stream: tuple[int, ...], *, scans: int, floors: int) -> BuildingSurvey:
     """The smallest building of a random stream that has so many stations, and so many of them."""
     per_floor = scans / floors
     wings = max(1, math.ceil(per_floor / _STATIONS_PER_WING))
@@ -53,7 +54,7 @@ def plan_survey(stream: tuple[int, ...], *, scans: int, floors: int) -> Survey:
         plan = draw_building_plan(rng, floors=floors, wings=wings, modules=modules)
         stations = [*_on_floors(plan, rng), *_between_floors(plan)]
         if len(stations) >= scans:
-            return Survey(plan, _chosen(stations, scans, rng))
+            return BuildingSurvey(plan, _chosen(stations, scans, rng))
         modules += 1
 
 
@@ -106,6 +107,8 @@ def _corridor_places(plan: BuildingPlan) -> list[tuple[float, float]]:
             for count in [max(1, math.ceil((high - low) / _STATION_EVERY))]
             for k in range(count - 1)
         ]
+        doors = [cell.in_plan(cell.interior.door, 0.0)[0] for cell in plan.cells if _behind_a_wall(plan, cell, y)]
+        inner = [_moved(x, doors) for x in inner]
         crossings = [start, end] if plan.passage else []
         places += [(x, y) for x in sorted([*inner, *fixed, *crossings])]
     count = math.ceil(2 * plan.depth / _STATION_EVERY)
@@ -114,6 +117,17 @@ def _corridor_places(plan: BuildingPlan) -> list[tuple[float, float]]:
         along = [low + 2 * plan.depth * (k + 0.5) / count for k in range(count)]
         places += [(x, y) for x in (-plan.passage / 2, plan.length + plan.passage / 2) for y in along]
     return places
+
+
+def _moved(x: float, doors: list[float]) -> float:
+    """The nearest of the doors, if it is near enough to move a station there, from where one sees far into the room."""
+    nearest = min(doors, key=lambda door: abs(door - x), default=x)
+    return nearest if abs(nearest - x) < _ASIDE else x
+
+
+def _behind_a_wall(plan: BuildingPlan, cell: PlanCell, y: float) -> bool:
+    """Whether a cell is a room at the corridor at ``y`` that shows through its door alone."""
+    return cell.kind is not None and cell.kind.front == "closed" and abs(cell.y - y) < plan.corridor
 
 
 def _apart(places: list[float]) -> list[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchreg.synthetic.architecture.office_plan import BuildingPlan, Cell
+from torchreg.synthetic.architecture.office_plan import BuildingPlan, PlanCell
 from torchreg.synthetic.architecture.rooms import Interior, at_wall, stand
 from torchreg.synthetic.architecture.walls import THICKNESS, Opening, wall, window_frame
 from torchreg.synthetic.furniture import indoor, office
@@ -16,7 +16,7 @@ DOOR_WIDTH, DOOR_HEIGHT = 1.05, 2.1
 STAIR_DOOR = Opening(0.0, 2.0, 0.0, 2.3)
 
 
-def room_shell(plan: BuildingPlan, cell: Cell, draws: Draws) -> list[Quads]:
+def room_shell(plan: BuildingPlan, cell: PlanCell, draws: Draws) -> list[Quads]:
     """Floor, ceiling, walls, doors and windows of a room in its own frame, and what is on the wall to the corridor."""
     assert cell.kind is not None
     room = cell.interior
@@ -71,7 +71,7 @@ def _on_the_front(room: Interior, draws: Draws) -> list[Quads]:
     return parts
 
 
-def side_walls(plan: BuildingPlan, cell: Cell, draws: Draws) -> list[Quads]:
+def side_walls(plan: BuildingPlan, cell: PlanCell, draws: Draws) -> list[Quads]:
     """The wall at the left of a room or stairwell, in its own frame, and at the right of the last one of a row."""
     room = cell.interior
     through = [Opening(0.12 * room.depth, 0.95, 0.0, DOOR_HEIGHT)] if cell.door_at_left else []
@@ -145,7 +145,7 @@ def lamps_of(room: Interior) -> list[tuple[float, float, float]]:
     return [(float(place), share * room.depth, room.height - 0.12) for place in x for share in (0.3, 0.7)]
 
 
-def _back(plan: BuildingPlan, cell: Cell, draws: Draws) -> list[Quads]:
+def _back(plan: BuildingPlan, cell: PlanCell, draws: Draws) -> list[Quads]:
     """The wall opposite the door: windows with radiators below them, or a plain wall to the next wing."""
     room = cell.interior
     window = [Opening(0.0, room.width - 0.8, 0.9, 2.35)] if cell.outside else []

@@ -20,7 +20,7 @@ STAIR_MODULES = 3  # width of a stairwell
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class PlanCell:
     """A room or a stairwell in the plan; its own frame is that of ``rooms.py``."""
 
     kind: RoomKind | None  # None for a stairwell
@@ -50,7 +50,7 @@ class BuildingPlan:
     wings: int  # a count
     corridor: float  # width
     depth: float  # of the rooms
-    cells: tuple[Cell, ...]
+    cells: tuple[PlanCell, ...]
     walls: Array  # (3,)
     frames: Array  # (3,) doors and windows
     accents: Array  # (floors, 3) signs and painted walls of each floor
@@ -65,7 +65,7 @@ class BuildingPlan:
         return wing * (self.corridor + 2 * self.depth)
 
     @property
-    def stairwells(self) -> tuple[Cell, ...]:
+    def stairwells(self) -> tuple[PlanCell, ...]:
         """The cells with stairs."""
         return tuple(cell for cell in self.cells if cell.kind is None)
 
@@ -74,7 +74,7 @@ def draw_building_plan(rng: np.random.Generator, *, floors: int, wings: int, mod
     """A random plan with so many floors and wings, each wing so many modules long."""
     module, depth, corridor = rng.uniform(1.2, 1.3), rng.uniform(5.2, 5.9), rng.uniform(2.2, 2.7)
     height, storey = rng.uniform(2.7, 2.9), rng.uniform(3.3, 3.6)
-    cells: list[Cell] = []
+    cells: list[PlanCell] = []
     for wing in range(wings):
         for facing in (-1, 1):
             stairs = floors > 1 and (facing == (-1) ** (wing + 1) or modules > 44)
@@ -129,7 +129,7 @@ def _cells(
     size: tuple[float, float],
     *,
     outside: bool,
-) -> list[Cell]:
+) -> list[PlanCell]:
     depth, height = size
     through_y = 0.62 * depth  # of the doors between rooms
     opened = [i > 0 and None not in kinds[i - 1 : i + 1] and rng.random() < 0.3 for i in range(len(kinds))]
@@ -138,11 +138,11 @@ def _cells(
         width = module * (kind.modules if kind else STAIR_MODULES)
         side = int(rng.choice([-1, 1]))
         door = side * (width / 2 - rng.uniform(0.85, 1.0)) if kind else 0.0
-        stations = _stations(width, depth, door) if kind else ()
+        stations = _stations(kind, width, depth, door) if kind else ()
         beside = [(-width / 2, through_y)] * opened[i] + [(width / 2, through_y)] * any(opened[i + 1 : i + 2])
         middle = edge + width / 2
         cells.append(
-            Cell(
+            PlanCell(
                 kind=kind,
                 x=middle if facing > 0 else length - middle,
                 y=y,
@@ -158,7 +158,10 @@ def _cells(
     return cells
 
 
-def _stations(width: float, depth: float, door: float) -> tuple[tuple[float, float], ...]:
-    """Tripods of a room: one behind the door, from where the corridor shows; in wide rooms another far from it."""
-    first = (door - math.copysign(0.1, door), 0.24 * depth)
+def _stations(kind: RoomKind, width: float, depth: float, door: float) -> tuple[tuple[float, float], ...]:
+    """Tripods of a room: one behind the door, from where the corridor shows; in wide rooms another far from it.
+
+    Where the door is all that shows of the corridor, the tripod stands close behind it.
+    """
+    first = (door - math.copysign(0.1, door), (0.19 if kind.front == "closed" else 0.24) * depth)
     return (first,) if width < 6.5 else (first, (-0.6 * door, 0.24 * depth))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from torchreg.synthetic.architecture.office_floor import STAIR_DOOR, side_walls
-from torchreg.synthetic.architecture.office_plan import BuildingPlan, Cell
+from torchreg.synthetic.architecture.office_plan import BuildingPlan, PlanCell
 from torchreg.synthetic.architecture.rooms import at_wall, stand
 from torchreg.synthetic.architecture.walls import THICKNESS, Opening, wall, window_frame
 from torchreg.synthetic.furniture import indoor, office
@@ -23,7 +23,7 @@ _STEPS = 10  # of a flight
 _SLAB = 0.25  # meters
 
 
-def stairwell(plan: BuildingPlan, cell: Cell, floor: int, draws: Draws) -> list[Quads]:
+def stairwell(plan: BuildingPlan, cell: PlanCell, floor: int, draws: Draws) -> list[Quads]:
     """One floor's part of a stairwell in its own frame, its landing at z = 0."""
     room, half = cell.interior, plan.storey / 2
     width, depth = room.width - THICKNESS, room.depth
@@ -69,7 +69,7 @@ def stairwell(plan: BuildingPlan, cell: Cell, floor: int, draws: Draws) -> list[
     return parts
 
 
-def stair_lamps(plan: BuildingPlan, cell: Cell) -> list[tuple[float, float, float]]:
+def stair_lamps(plan: BuildingPlan, cell: PlanCell) -> list[tuple[float, float, float]]:
     """Where a stairwell's lamps hang on each floor, in its own frame."""
     return [(0.0, FRONT_LANDING / 2, plan.storey - _SLAB - 0.1), (0.0, cell.interior.depth - 0.3, plan.storey - 0.1)]
 
@@ -79,12 +79,12 @@ def landing_station() -> tuple[float, float, float]:
     return 0.0, 0.55 * FRONT_LANDING, 0.0
 
 
-def middle_station(plan: BuildingPlan, cell: Cell) -> tuple[float, float, float]:
+def middle_station(plan: BuildingPlan, cell: PlanCell) -> tuple[float, float, float]:
     """Where a tripod stands on the middle landing; see ``landing_station``."""
     return 0.0, cell.interior.depth - 0.75 * MIDDLE_LANDING, plan.storey / 2
 
 
-def _flights(plan: BuildingPlan, cell: Cell, look: np.random.Generator, stone: Array) -> list[Quads]:
+def _flights(plan: BuildingPlan, cell: PlanCell, look: np.random.Generator, stone: Array) -> list[Quads]:
     depth, half = cell.interior.depth, plan.storey / 2
     run = depth - FRONT_LANDING - MIDDLE_LANDING
     tread, rise, wide = run / _STEPS, half / _STEPS, (cell.interior.width - THICKNESS - 0.2) / 2
