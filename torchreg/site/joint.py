@@ -39,6 +39,7 @@ _STILL = 5e-5  # meters: rounds end when no scan moves by more
 _ROUNDS = 15
 _NARROWER = 0.5  # of the reach, from one round to the next
 _SLOW = 0.7  # of the step before: where steps shrink no faster, half of them is taken
+_WEIGHED = 2  # rounds with the nearest partners, after which the covariances of pairs stay
 _LOOSER = 2.0  # times the variance that a link gives a motion: beyond it, what else it stands on counts more
 _CELL = 8.0  # spacings of surfels, the edge of the cells that tell which scans overlap
 _AT_ONCE = 16  # sources that are measured against one target together
@@ -186,6 +187,10 @@ class _Site:
         self.used = {(link.target, link.source): link for link in used}
         placed = (placement.group >= 0).nonzero()[:, 0].tolist()
         self.facts = {scan: _facts_of(surfels(scan)) for scan in placed}
+        # the scan of each group in whose frame all are looked at: the same one in whatever order scans come
+        self.middle: dict[int, int] = {}
+        for scan in sorted(placed, key=self._rank):
+            self.middle[int(placement.group[scan])] = scan
 
     def refined(self, held_back: set[int]) -> tuple[_Poses, int]:
         """The poses after all rounds, without the surfaces of scans that are held back; and the number of pairs."""
@@ -193,9 +198,10 @@ class _Site:
         kept: dict[_Task, _Kept] = {}
         T = self.placement.T_world_scan.clone()
         nearest = 2 * max((each.spacing for each in self.facts.values()), default=0.0)
-        reach, share, last = self.reach, 1.0, torch.inf
+        reach, share, last, fine = self.reach, 1.0, torch.inf, 0
         for _ in range(_ROUNDS):
-            self._measure(tasks, T, reach, kept)
+            fine += reach <= nearest
+            self._measure(tasks, T, reach, kept, weighed=fine > _WEIGHED)
             poses = self._settled(T, kept, share)
             moved = self._moved(T, poses.T_world_scan)
             T = poses.T_world_scan
@@ -219,12 +225,12 @@ class _Site:
                 continue
             edge = _CELL * spacings[len(spacings) // 2]
             faced = all(self.facts[scan].faced for scan in members)
-            back = inverse(T[members[0]])  # to the frame of one scan, where numbers are small
+            back = inverse(T[self.middle[number]])
             cells = [self._cells(scan, compose(back, T[scan]), edge, faced=faced) for scan in members]
             for i, j in overlapping(cells):
                 pair = (members[i], members[j])
                 if pair not in linked:
-                    tasks.add(_Task(*sorted(pair, key=lambda scan: (self.facts[scan].count, self.facts[scan].name))))
+                    tasks.add(_Task(*sorted(pair, key=self._rank)))
         free = [task for task in sorted(tasks) if not held_back.intersection(task)]
         return [task for task in free if min(self.facts[scan].count for scan in task) > 0]
 
@@ -233,8 +239,14 @@ class _Site:
         normals = cloud.points if cloud.normals is None else cloud.normals
         return filled_cells(cloud.points.double() + cloud.origin, normals, T, edge, faced=faced)
 
-    def _measure(self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept]) -> None:
-        """Measure the pairs whose poses have changed since they were measured."""
+    def _measure(
+        self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept], *, weighed: bool
+    ) -> None:
+        """Measure the pairs whose poses have changed since they were measured.
+
+        Where they are ``weighed``, each keeps its covariance, so that rounds come to an end: whether surfaces hold a
+        motion at all is a yes or no, and near the bound it changes with a few partners.
+        """
         between = {task: compose(inverse(T[task.target]), T[task.source]) for task in tasks}
         waiting = [task for task in tasks if self._changed(task, between[task], reach, kept.get(task))]
         done = len(tasks) - len(waiting)
@@ -242,7 +254,8 @@ class _Site:
         parts = list(_parts(waiting))
         for begin in range(0, len(parts), _REPORTED):
             for made in self._work(parts[begin : begin + _REPORTED], between, reach):
-                kept.update(made)
+                for task, one in made.items():
+                    kept[task] = _as_weighed(one, kept[task]) if weighed and task in kept else one
                 done += len(made)
             self.report(SiteProgress("refine", done, len(tasks)))
 
@@ -285,8 +298,17 @@ class _Site:
         return _left(graph, self.placement, settled._replace(poses=compose(start, step)))
 
     def _moved(self, before: Tensor, after: Tensor) -> float:
-        """Meters by which the points of any scan move."""
-        return max((_motion(before[scan], after[scan], self.facts[scan].size) for scan in self.facts), default=0.0)
+        """Meters by which the points of any scan move, in the frame of one scan of its group."""
+        most = 0.0
+        for scan, facts in self.facts.items():
+            middle = self.middle[int(self.placement.group[scan])]
+            one, other = (compose(inverse(T[middle]), T[scan]) for T in (before, after))
+            most = max(most, _motion(one, other, facts.size))
+        return most
+
+    def _rank(self, scan: int) -> tuple[int, tuple[float, ...]]:
+        """By what a scan holds."""
+        return self.facts[scan].count, self.facts[scan].name
 
     def astray(self, poses: _Poses, tolerance: Tolerance) -> dict[int, float]:
         """Scans whose links the poses leave farther than is allowed, and by how much all of each are left.
@@ -326,6 +348,14 @@ class _Site:
             degrees=torch.where(one, torch.rad2deg(turn), torch.nan),
             scale=poses.scale,
         )
+
+
+def _as_weighed(one: _Kept, before: _Kept) -> _Kept:
+    """The pose that a pair asks for now, with the weight that it had before."""
+    if one.measured is None or before.measured is None:
+        return one._replace(measured=before.measured)
+    known = before.measured
+    return one._replace(measured=one.measured._replace(covariance=known.covariance, center=known.center))
 
 
 def _facts_of(surfels: Surfels) -> _Facts:
