@@ -16,7 +16,8 @@ from torchreg.refinement.surfels import Surfels, surfels_of
 from torchreg.site import KnownPose, Tolerance, loose_covariance, place
 from torchreg.site.control import ControlPoint, misses
 from torchreg.site.frame import SiteFrame, frame_of
-from torchreg.site.joint import refine_together, surfel_count
+from torchreg.site.joint import refine_together
+from torchreg.site.scan_surfels import surfel_count
 
 REACH = 0.1
 ALLOWED = Tolerance(meters=0.1, degrees=2.0)
@@ -81,7 +82,7 @@ def test_links_are_held_against_the_new_poses(case, together):
 
 
 def test_threads_and_how_often_scans_are_loaded_change_no_bit(case, together, monkeypatch):
-    monkeypatch.setattr("torchreg.site.joint._KEPT", 2)
+    monkeypatch.setattr("torchreg.site.scan_surfels._KEPT", 2)
     monkeypatch.setattr("torchreg.site.joint._AT_ONCE", 1)
     with threads(3):
         again = case.refined()
