@@ -79,20 +79,26 @@ def test_files_that_fail_are_named_and_the_rest_goes_on(run, rooms, tmp_path):
     assert scans[4]["reason"]
 
 
-def test_a_file_of_several_scans_gives_them_all(run, tmp_path, rooms):
-    paths, truth = rooms
+def write_ptx(project, paths, poses):
+    """The scans as one PTX file with a pose for each."""
     lines = []
-    for path in paths:
+    for path, T in zip(paths, poses, strict=True):
         cloud = tr.read_cloud(path)
-        header = [str(len(cloud.points)), "1", "0 0 0", "1 0 0", "0 1 0", "0 0 1"]
-        header += ["1 0 0 0", "0 1 0 0", "0 0 1 0", "0 0 0 1"]
+        columns = [" ".join(map(repr, column)) for column in T.t().tolist()]
+        place = columns[3].rsplit(" ", 1)[0]
+        header = [str(len(cloud.points)), "1", place, *(column.rsplit(" ", 1)[0] for column in columns[:3]), *columns]
         colors = (255 * cloud.colors).round().int().tolist()
         rows = [
             f"{x} {y} {z} 0.5 {r} {g} {b}" for (x, y, z), (r, g, b) in zip(cloud.points.tolist(), colors, strict=True)
         ]
         lines += [*header, *rows]
-    project = tmp_path / "project.ptx"
     project.write_text("\n".join(lines) + "\n")
+
+
+def test_a_file_of_several_scans_gives_them_all(run, tmp_path, rooms):
+    paths, truth = rooms
+    project = tmp_path / "project.ptx"
+    write_ptx(project, paths, torch.eye(4).double().repeat(3, 1, 1))
     result = run("site", project, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     names, _, poses = poses_of(tmp_path / "out")
@@ -187,3 +193,18 @@ def test_poses_of_files_need_files_with_poses(run, rooms, tmp_path):
     result = run("site", *paths, "--out", tmp_path / "out", "--poses", "files")
     assert result.exit_code == 2
     assert "--poses: expected files with poses" in result.stderr
+
+
+def test_poses_of_files_are_kept_as_far_as_they_are_right(run, rooms, tmp_path):
+    paths, truth = rooms
+    rough = truth.clone()
+    rough[2, :3, 3] += torch.tensor([0.04, 0.0, 0.0])
+    project = tmp_path / "project.ptx"
+    write_ptx(project, paths, rough)
+    result = run("site", project, "--out", tmp_path / "out", "--poses", "files")
+    assert result.exit_code == 0, result.output
+    _, _, poses = poses_of(tmp_path / "out")
+    off = poses - torch.eye(4, dtype=torch.float64)
+    assert off[:2].abs().max() < 0.02
+    mended = poses[2, :3, :3] @ rough[2, :3, 3] + poses[2, :3, 3]  # where the scanner is now
+    assert (mended - truth[2, :3, 3]).norm() < 0.02

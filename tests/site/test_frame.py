@@ -73,6 +73,29 @@ def test_a_fixed_scan_is_where_its_known_pose_says(placement, site):
     assert off.norm(dim=1).max() < 0.05
 
 
+def test_known_poses_give_the_frame_together_and_a_wrong_one_is_left_out(placement, site):
+    generator = torch.Generator().manual_seed(4)
+    truth = compose(NORTH, site.poses)
+    poses = []
+    for scan in (0, 2, 4, 6, 8, 10):
+        T = truth[scan].clone()
+        T[:3, 3] += 0.05 * torch.randn(3, generator=generator, dtype=torch.float64)
+        poses.append((scan, T))
+    alone = frame_of(placement, SiteFrame(poses=tuple(poses[:1])), clouds(COUNT)).placement
+    made = frame_of(placement, SiteFrame(poses=tuple(poses)), clouds(COUNT))
+    off, off_alone = ((each.T_world_scan - truth)[:, :3, 3].norm(dim=1) for each in (made.placement, alone))
+    assert off.mean() < off_alone.mean()
+    assert made.remarks == ()
+
+    poses[3][1][0, 3] += 3.0
+    made = frame_of(placement, SiteFrame(poses=tuple(poses)), clouds(COUNT))
+    assert (made.placement.T_world_scan - truth)[:, :3, 3].norm(dim=1).max() < 0.15
+    (remark,) = made.remarks
+    assert remark.startswith("the known pose of scan 6 is ")
+    assert "m off where the others put it" in remark
+    assert [pose.scan for pose in made.known] == [0, 2, 4, 8, 10]
+
+
 def test_known_poses_tie_scans_before_they_are_placed(site):
     frame = SiteFrame(poses=tuple((scan, compose(NORTH, site.poses[scan])) for scan in (1, 8)), pose_meters=0.01)
     known = known_poses(frame, clouds(COUNT))

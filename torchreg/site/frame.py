@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect, positive
+from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.se3 import apply, apply_rotation, compose, inverse
 from torchreg.site.control import (
     ControlPoint,
@@ -29,6 +30,7 @@ from torchreg.site.placement import Placement
 from torchreg.site.ups import plumb, up_of_scans
 from torchreg.types import Clouds
 
+_FAR = 4.0  # deviations, beyond which a known pose is wrong
 _FIXED_METERS, _FIXED_RADIANS = 1e-5, 1e-6  # deviations of a scan that is fixed
 
 
@@ -123,13 +125,17 @@ def frame_of(placement: Placement, frame: SiteFrame, scans: Sequence[Clouds]) ->
     expect(len(scans) == len(placement), "scans", f"the {len(placement)} scans that are placed", len(scans))
     expect_scans(frame.control, len(scans))
     known = known_poses(frame, scans)
-    placement = _moved(placement, _by_poses(placement, known))
-    agreeing, remarks = set[int](), list[str]()
+    motions, wrong = _by_poses(placement, known, frame.fix)
+    placement, agreeing = _moved(placement, motions), set[int]()
+    remarks = [
+        f"the known pose of scan {scan} is {meters:.3g} m off where the others put it: it was left out"
+        for scan, meters in wrong.items()
+    ]
     if frame.control:
         motions, agreeing, remarks = _by_points(placement, frame.control)
         placement = _moved(placement, motions)
         known = poses_of_points([frame.control[place] for place in sorted(agreeing)], placement.T_world_scan)
-    known = [pose for pose in known if bool(placement.in_world[pose.scan])]
+    known = [pose for pose in known if bool(placement.in_world[pose.scan]) and pose.scan not in wrong]
     if frame.level:
         placement = level(placement, plumb(up_of_scans(scans), placement.T_world_scan, placement.group))
     return Framed(placement, tuple(known), judged(frame.control, placement, agreeing), tuple(remarks))
@@ -145,25 +151,52 @@ def judged(control: Sequence[ControlPoint], placement: Placement, agreeing: set[
     )
 
 
-def judged_again(points: Sequence[JudgedPoint], placement: Placement) -> tuple[JudgedPoint, ...]:
-    """The same points beside where another placement puts them; what was suspicious stays so."""
-    apart = misses([each.point for each in points], placement.T_world_scan)
-    return tuple(
-        each if each.meters != each.meters else each._replace(meters=meters)
-        for each, meters in zip(points, apart, strict=True)
-    )
+def _by_poses(
+    placement: Placement, known: Sequence[KnownPose], fix: int | None
+) -> tuple[dict[int, Tensor], dict[int, float]]:
+    """T_world_group (4, 4) of groups that are not in the world and have known poses; scans of wrong ones, meters off.
+
+    In the group of a scan that is fixed, that one decides.
+    """
+    motions, wrong = dict[int, Tensor](), dict[int, float]()
+    for group in range(int(placement.group.max()) + 1 if len(placement) else 0):
+        members = (placement.group == group) & ~placement.in_world
+        own = [pose for pose in known if bool(members[pose.scan])]
+        own = [pose for pose in own if pose.scan == fix] or own
+        if own:
+            motions[group], others = _agreed(placement, own)
+            wrong.update(others)
+    return motions, wrong
 
 
-def _by_poses(placement: Placement, known: Sequence[KnownPose]) -> dict[int, Tensor]:
-    """T_world_group (4, 4) of groups that are not in the world and have a known pose: by that which is known best."""
-    motions: dict[int, Tensor] = {}
-    best: dict[int, float] = {}
+def _agreed(placement: Placement, known: Sequence[KnownPose]) -> tuple[Tensor, dict[int, float]]:
+    """The motion (4, 4) that most known poses of a group agree on; the scans of the others and how far off they are."""
+    here, world, weight, allowed = [], [], [], []
     for pose in known:
-        group, variance = int(placement.group[pose.scan]), float(pose.covariance.diagonal().sum())
-        if group >= 0 and not bool(placement.in_world[pose.scan]) and variance < best.get(group, torch.inf):
-            best[group] = variance
-            motions[group] = compose(pose.T_world_scan, inverse(placement.T_world_scan[pose.scan]))
-    return motions
+        variance = pose.covariance.diagonal()
+        turn, shift = float(variance[:3].mean()), float(variance[3:].mean())
+        center = pose.T_world_scan[:3, 3] if pose.center is None else pose.center
+        ends = (shift / turn) ** 0.5 * torch.cat([torch.eye(3), -torch.eye(3)]).double()
+        there = center + ends  # six places that are known as well as the pose is
+        back = compose(placement.T_world_scan[pose.scan], inverse(pose.T_world_scan))
+        here.append(apply(back, there))
+        world.append(there)
+        weight.append(torch.full((6,), 1 / shift, dtype=torch.float64))
+        own = float(placement.covariance[pose.scan].diagonal()[3:].mean())
+        allowed.append(_FAR * (2 * shift + own) ** 0.5)
+    middle = torch.cat(world).median(dim=0).values
+    sides = torch.stack(here), torch.stack(world) - middle  # (K, 6, 3)
+    limit, weights = torch.tensor(allowed, dtype=torch.float64), torch.stack(weight)
+
+    def off(T: Tensor) -> Tensor:
+        return torch.stack([(apply(T, one) - other).mean(dim=0).norm() for one, other in zip(*sides, strict=True)])
+
+    every = [off(kabsch(one, other)) <= limit for one, other in zip(*sides, strict=True)]
+    best = max(every, key=lambda near: int(near.sum()))
+    T = kabsch(sides[0][best].reshape(-1, 3), sides[1][best].reshape(-1, 3), weights[best].reshape(-1))
+    wrong = {known[k].scan: meters for k, meters in enumerate(off(T).tolist()) if not bool(best[k])}
+    T[:3, 3] += middle
+    return T, wrong
 
 
 def _by_points(placement: Placement, control: Sequence[ControlPoint]) -> tuple[dict[int, Tensor], set[int], list[str]]:

@@ -10,10 +10,8 @@ In a motion that the surfaces of a pair leave open, such as that along a corrido
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -21,29 +19,31 @@ from torch import Tensor
 
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.threads import shared_out
-from torchreg.geometry.se3 import apply_rotation, compose, inverse, rigid
-from torchreg.geometry.small_motions import cross_matrix, rotation_of, rotation_vector
+from torchreg.geometry.se3 import compose, inverse, rigid
+from torchreg.geometry.small_motions import rotation_of, rotation_vector
 from torchreg.native import kernel_threads, torch_on_one_thread
-from torchreg.refinement.measure import Measured, facing_scanner, measure
+from torchreg.refinement.measure import Measured, measure
 from torchreg.refinement.pairing import Pairing
 from torchreg.refinement.surfels import Surfels
-from torchreg.site.graph import SiteGraph, residuals, site_graph
+from torchreg.site.graph import residuals, site_graph
 from torchreg.site.links import KnownPose, Link
-from torchreg.site.optimize import SettledPoses, settle_poses
+from torchreg.site.node_poses import PlacedPoses, entered, left
+from torchreg.site.optimize import settle_poses
 from torchreg.site.overlaps import FilledCells, filled_cells, overlapping
 from torchreg.site.pairs import Report, SiteProgress
 from torchreg.site.placement import Placement
+from torchreg.site.scan_surfels import ScanSurfels, facts_of
+from torchreg.site.ties import mixed, tie
 from torchreg.site.tolerance import Tolerance
 
 _STILL = 5e-5  # meters: rounds end when no scan moves by more
 _ROUNDS = 15
 _NARROWER = 0.5  # of the reach, from one round to the next
 _SLOW = 0.7  # of the step before: where steps shrink no faster, half of them is taken
-_LOOSER = 2.0  # times the variance that a link gives a motion: beyond it, what else it stands on counts more
+_WEIGHED = 2  # rounds with the nearest partners, after which the covariances of pairs stay
 _CELL = 8.0  # spacings of surfels, the edge of the cells that tell which scans overlap
 _AT_ONCE = 16  # sources that are measured against one target together
 _REPORTED = 16  # such lots, after which progress is reported
-_KEPT = 96  # scans whose surfels are kept in memory
 _WORST = 0.75  # of the largest excess: scans that are as far astray are held back together
 _TURNS = 4  # of holding scans back, after which all that are astray are
 
@@ -93,7 +93,7 @@ def refine_together(
     known = list(known)
     expect(bool(known) or not bool(placement.in_world.any()), "known", "the known poses of the placement", "none")
     with torch_on_one_thread():
-        site = _Site(placement, links, known, _Loaded(surfels), reach, report)
+        site = _Site(placement, links, known, ScanSurfels(surfels), reach, report)
         held_back: set[int] = set()
         for turn in range(len(placement) + 1):
             poses, pairs = site.refined(held_back)
@@ -104,15 +104,6 @@ def refine_together(
             held_back |= {scan for scan, excess in astray.items() if excess >= least}
         notes = tuple((HELD_BACK,) if scan in held_back else () for scan in range(len(placement)))
         return Together(site.placement_of(poses), notes, pairs)
-
-
-class _Poses(NamedTuple):
-    """Poses of all scans, NaN where not placed."""
-
-    T_world_scan: Tensor  # (N, 4, 4)
-    covariance: Tensor  # (N, 6, 6) of a small turn about ``center`` and a shift, in the frame of the group
-    center: Tensor  # (N, 3)
-    scale: float
 
 
 class _Task(NamedTuple):
@@ -130,43 +121,13 @@ class _Kept(NamedTuple):
     reach: float
 
 
-class _Loaded:
-    """Surfels of scans, normals towards known scanners; the last ones used are kept."""
-
-    def __init__(self, surfels: Callable[[int], Surfels]) -> None:
-        self._surfels, self._lock = surfels, threading.Lock()
-        self._kept: OrderedDict[int, Surfels] = OrderedDict()
-
-    def __call__(self, scan: int) -> Surfels:
-        with self._lock:
-            if scan not in self._kept:
-                made = self._surfels(scan)
-                made = replace(made, cloud=replace(made.cloud, colors=None))
-                self._kept[scan] = facing_scanner(made) if bool(made.cloud.viewpoint_known[0]) else made
-            self._kept.move_to_end(scan)
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-            return self._kept[scan]
-
-
-@dataclass(frozen=True)
-class _Facts:
-    """What is kept of every scan."""
-
-    count: int  # surfels
-    spacing: float
-    size: float  # meters, root mean square distance of the surfels from their mean
-    faced: bool
-    name: tuple[float, ...]  # tells scans apart, wherever they stand among the others
-
-
 class _Site:
     def __init__(
         self,
         placement: Placement,
         links: Sequence[Link],
         known: list[KnownPose],
-        surfels: _Loaded,
+        surfels: ScanSurfels,
         reach: float,
         report: Report,
     ) -> None:
@@ -175,17 +136,22 @@ class _Site:
         used = [links[row] for row in placement.used.nonzero()[:, 0].tolist()]
         self.used = {(link.target, link.source): link for link in used}
         placed = (placement.group >= 0).nonzero()[:, 0].tolist()
-        self.facts = {scan: _facts_of(surfels(scan)) for scan in placed}
+        self.facts = {scan: facts_of(surfels(scan)) for scan in placed}
+        # the scan of each group in whose frame all are looked at: the same one in whatever order scans come
+        self.middle: dict[int, int] = {}
+        for scan in sorted(placed, key=self._rank):
+            self.middle[int(placement.group[scan])] = scan
 
-    def refined(self, held_back: set[int]) -> tuple[_Poses, int]:
+    def refined(self, held_back: set[int]) -> tuple[PlacedPoses, int]:
         """The poses after all rounds, without the surfaces of scans that are held back; and the number of pairs."""
         tasks = self._tasks(held_back)
         kept: dict[_Task, _Kept] = {}
         T = self.placement.T_world_scan.clone()
         nearest = 2 * max((each.spacing for each in self.facts.values()), default=0.0)
-        reach, share, last = self.reach, 1.0, torch.inf
+        reach, share, last, fine = self.reach, 1.0, torch.inf, 0
         for _ in range(_ROUNDS):
-            self._measure(tasks, T, reach, kept)
+            fine += reach <= nearest
+            self._measure(tasks, T, reach, kept, weighed=fine > _WEIGHED)
             poses = self._settled(T, kept, share)
             moved = self._moved(T, poses.T_world_scan)
             T = poses.T_world_scan
@@ -209,12 +175,12 @@ class _Site:
                 continue
             edge = _CELL * spacings[len(spacings) // 2]
             faced = all(self.facts[scan].faced for scan in members)
-            back = inverse(T[members[0]])  # to the frame of one scan, where numbers are small
+            back = inverse(T[self.middle[number]])
             cells = [self._cells(scan, compose(back, T[scan]), edge, faced=faced) for scan in members]
             for i, j in overlapping(cells):
                 pair = (members[i], members[j])
                 if pair not in linked:
-                    tasks.add(_Task(*sorted(pair, key=lambda scan: (self.facts[scan].count, self.facts[scan].name))))
+                    tasks.add(_Task(*sorted(pair, key=self._rank)))
         free = [task for task in sorted(tasks) if not held_back.intersection(task)]
         return [task for task in free if min(self.facts[scan].count for scan in task) > 0]
 
@@ -223,8 +189,14 @@ class _Site:
         normals = cloud.points if cloud.normals is None else cloud.normals
         return filled_cells(cloud.points.double() + cloud.origin, normals, T, edge, faced=faced)
 
-    def _measure(self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept]) -> None:
-        """Measure the pairs whose poses have changed since they were measured."""
+    def _measure(
+        self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept], *, weighed: bool
+    ) -> None:
+        """Measure the pairs whose poses have changed since they were measured.
+
+        Where they are ``weighed``, each keeps its covariance, so that rounds come to an end: whether surfaces hold a
+        motion at all is a yes or no, and near the bound it changes with a few partners.
+        """
         between = {task: compose(inverse(T[task.target]), T[task.source]) for task in tasks}
         waiting = [task for task in tasks if self._changed(task, between[task], reach, kept.get(task))]
         done = len(tasks) - len(waiting)
@@ -232,7 +204,8 @@ class _Site:
         parts = list(_parts(waiting))
         for begin in range(0, len(parts), _REPORTED):
             for made in self._work(parts[begin : begin + _REPORTED], between, reach):
-                kept.update(made)
+                for task, one in made.items():
+                    kept[task] = _as_weighed(one, kept[task]) if weighed and task in kept else one
                 done += len(made)
             self.report(SiteProgress("refine", done, len(tasks)))
 
@@ -258,27 +231,36 @@ class _Site:
         size = self.facts[task.source].size
         return _motion(kept.T_target_source, T, size) > 0.2 * _STILL
 
-    def _settled(self, T: Tensor, kept: Mapping[_Task, _Kept], share: float) -> _Poses:
+    def _settled(self, T: Tensor, kept: Mapping[_Task, _Kept], share: float) -> PlacedPoses:
         """The poses that all pairs agree on, links where surfaces say nothing; reached from ``T`` by a share."""
         ties = []
         for key, link in self.used.items():
             one = kept.get(_Task(*key))
-            ties.append(link if one is None or one.measured is None else _mixed(link, one.measured))
+            ties.append(link if one is None or one.measured is None else mixed(link, one.measured))
         for task, one in sorted(kept.items(), key=lambda item: item[0]):
             if tuple(task) not in self.used and one.measured is not None:
-                ties.append(_tie(task, one.measured))
+                ties.append(tie(task.target, task.source, one.measured))
         graph = site_graph(ties, self.known, len(T))
-        start, fixed = _entered(graph, self.placement, T)
+        start, fixed = entered(graph, self.placement, T)
         settled = settle_poses(graph, start, fixed)
         step = compose(inverse(start), settled.poses)
         step = rigid(rotation_of(share * rotation_vector(step[:, :3, :3])), share * step[:, :3, 3])
-        return _left(graph, self.placement, settled._replace(poses=compose(start, step)))
+        return left(graph, self.placement, settled._replace(poses=compose(start, step)))
 
     def _moved(self, before: Tensor, after: Tensor) -> float:
-        """Meters by which the points of any scan move."""
-        return max((_motion(before[scan], after[scan], self.facts[scan].size) for scan in self.facts), default=0.0)
+        """Meters by which the points of any scan move, in the frame of one scan of its group."""
+        most = 0.0
+        for scan, facts in self.facts.items():
+            middle = self.middle[int(self.placement.group[scan])]
+            one, other = (compose(inverse(T[middle]), T[scan]) for T in (before, after))
+            most = max(most, _motion(one, other, facts.size))
+        return most
 
-    def astray(self, poses: _Poses, tolerance: Tolerance) -> dict[int, float]:
+    def _rank(self, scan: int) -> tuple[int, tuple[float, ...]]:
+        """By what a scan holds."""
+        return self.facts[scan].count, self.facts[scan].name
+
+    def astray(self, poses: PlacedPoses, tolerance: Tolerance) -> dict[int, float]:
         """Scans whose links the poses leave farther than is allowed, and by how much all of each are left.
 
         Links are asked, not how far scans move: errors of many links add up, and what mends them moves scans far.
@@ -287,7 +269,7 @@ class _Site:
         variances = tolerance.variances(graph, self.placement.scale)
         excess = []
         for T in (self.placement.T_world_scan, poses.T_world_scan):
-            e = residuals(graph, _entered(graph, self.placement, T)[0])
+            e = residuals(graph, entered(graph, self.placement, T)[0])
             turn, shift = (torch.linalg.vector_norm(part, dim=1) for part in e.split(3, dim=1))
             excess.append(tolerance.excess(turn, shift, *variances))
         far = excess[1] > excess[0].clamp(min=1)
@@ -299,10 +281,10 @@ class _Site:
                 result[scan] = result.get(scan, 0.0) + much
         return result
 
-    def placement_of(self, poses: _Poses) -> Placement:
+    def placement_of(self, poses: PlacedPoses) -> Placement:
         """The placement with these poses, and how far links are from them."""
         graph = site_graph(self.links, self.known, len(self.placement))
-        start, _ = _entered(graph, self.placement, poses.T_world_scan)
+        start, _ = entered(graph, self.placement, poses.T_world_scan)
         e = residuals(graph, start)
         back = graph.number.argsort()[: len(self.links)]
         turn, shift = (torch.linalg.vector_norm(part, dim=1)[back] for part in e.split(3, dim=1))
@@ -318,13 +300,12 @@ class _Site:
         )
 
 
-def _facts_of(surfels: Surfels) -> _Facts:
-    points = surfels.cloud.points.double()
-    if len(points) == 0:
-        return _Facts(0, 0.0, 0.0, faced=True, name=())
-    size = float((points - points.mean(dim=0)).square().sum(dim=1).mean().sqrt())
-    faced = bool(surfels.cloud.viewpoint_known[0])
-    return _Facts(len(points), surfels.spacing[0], size, faced, tuple(points[0].tolist()))
+def _as_weighed(one: _Kept, before: _Kept) -> _Kept:
+    """The pose that a pair asks for now, with the weight that it had before."""
+    if one.measured is None or before.measured is None:
+        return one._replace(measured=before.measured)
+    known = before.measured
+    return one._replace(measured=one.measured._replace(covariance=known.covariance, center=known.center))
 
 
 def _parts(tasks: Sequence[_Task]) -> Iterator[list[_Task]]:
@@ -343,74 +324,3 @@ def _motion(before: Tensor, after: Tensor, size: float) -> float:
     """Meters by which points within ``size`` of the scanner move."""
     turn = float((after[:3, :3] - before[:3, :3]).square().sum().div(2).sqrt())
     return float((after[:3, 3] - before[:3, 3]).norm()) + turn * size
-
-
-def _tie(task: _Task, measured: Measured) -> Link:
-    """What a pair asks for as a link that is believed."""
-    return Link(
-        target=task.target,
-        source=task.source,
-        T_target_source=measured.T_target_source.cpu(),
-        log_odds=0.0,
-        probability=0.5,
-        covariance=measured.covariance.cpu(),
-        center=measured.center.cpu(),
-    )
-
-
-def _mixed(link: Link, measured: Measured) -> Link:
-    """What the surfaces of a pair ask for, and in motions that they leave open, what its link says.
-
-    In the axes in which both covariances are diagonal, each motion is that of the one or the other, with a smooth
-    passage: the two are not independent, so that they must not be joined as if they were.
-    """
-    one = _tie(_Task(link.target, link.source), measured)
-    arm = torch.eye(6, dtype=torch.float64)
-    arm[3:, :3] = -cross_matrix(one.center - link.center)
-    root = torch.linalg.cholesky(arm @ link.covariance @ arm.t())
-    half = torch.linalg.solve_triangular(root, one.covariance, upper=False)
-    whitened = torch.linalg.solve_triangular(root, half.t(), upper=False)
-    values, vectors = torch.linalg.eigh((whitened + whitened.t()) / 2)
-    axes = root @ vectors
-    D = compose(one.T_target_source, inverse(link.T_target_source))
-    shift = apply_rotation(D[:3, :3], one.center) + D[:3, 3] - one.center
-    off = torch.cat([rotation_vector(D[:3, :3]), shift])[:, None]
-    along = vectors.t() @ torch.linalg.solve_triangular(root, off, upper=False)
-    turn, moved = (axes @ (along / (1 + (values / _LOOSER).square())[:, None]))[:, 0].split(3)
-    R = rotation_of(turn)
-    T = compose(rigid(R, moved + one.center - apply_rotation(R, one.center)), link.T_target_source)
-    covariance = (axes * values.clamp(min=1e-12, max=1.0)) @ axes.t()
-    return replace(one, T_target_source=T, covariance=(covariance + covariance.t()) / 2)
-
-
-def _entered(graph: SiteGraph, placement: Placement, T_world_scan: Tensor) -> tuple[Tensor, Tensor]:
-    """Poses of scans as poses of the graph's nodes (N + 1, 4, 4), and which of these stay (N + 1,)."""
-    count = len(placement)
-    eye = torch.eye(3, dtype=torch.float64)
-    poses = torch.eye(4, dtype=torch.float64).repeat(count + 1, 1, 1)
-    fixed = torch.ones(count + 1, dtype=torch.bool)
-    placed = (placement.group >= 0).nonzero()[:, 0]
-    world = torch.where(placement.in_world[:, None], graph.zero[-1], 0.0)
-    at = compose(T_world_scan, rigid(eye.expand(count, 3, 3), graph.zero[:-1]))
-    at[:, :3, 3] -= world
-    poses[placed], fixed[placed] = at[placed], False
-    first: dict[int, int] = {}
-    for scan in placed.tolist():
-        if not bool(placement.in_world[scan]):
-            first.setdefault(int(placement.group[scan]), scan)
-    fixed[list(first.values())] = True
-    return poses, fixed
-
-
-def _left(graph: SiteGraph, placement: Placement, settled: SettledPoses) -> _Poses:
-    """Poses of the nodes as those of the scans."""
-    count = len(placement)
-    poses = settled.poses[:count]
-    R = poses[:, :3, :3]
-    center = poses[:, :3, 3] + torch.where(placement.in_world[:, None], graph.zero[-1], 0.0)
-    T = rigid(R, center - apply_rotation(R, graph.zero[:count]))
-    both = torch.zeros(count, 6, 6, dtype=torch.float64)
-    both[:, :3, :3] = both[:, 3:, 3:] = R
-    nothing = torch.where(placement.group >= 0, 0.0, torch.nan)[:, None]
-    covariance = both @ settled.covariance[:count] @ both.transpose(1, 2)
-    return _Poses(T + nothing[:, None], covariance + nothing[:, None], center + nothing, settled.scale)

@@ -14,14 +14,12 @@ from torchreg.registration.plan import options_of_pairs
 from torchreg.registration.scales import Scale, shared_scales
 from torchreg.registration.spacing import options_of_spacings
 from torchreg.registration.units import units_failure
+from torchreg.site.scan_surfels import surfel_count
 from torchreg.site.scans import SiteScans
 from torchreg.types.lengths import besides_lengths
 
 ALL_SCANS = 32
 """Sites of no more scans are registered with all their pairs."""
-
-_POINTS_PER_SURFEL = 5  # measured on buildings of rooms, 27,000 points a scan: 3 and 8 are worse
-_FEWEST_SURFELS, _MOST_SURFELS = 500, 20_000
 
 
 class SiteProgress(NamedTuple):
@@ -142,11 +140,3 @@ def alike(pairs: Sequence[SitePair]) -> list[list[int]]:
     for place, pair in enumerate(pairs):
         groups.setdefault(pair.likeness, []).append(place)
     return list(groups.values())
-
-
-def surfel_count(points: int) -> int:
-    """How many surfels to make of a scan of so many points: a fifth, since the surfaces that scans share are far off.
-
-    There points are several times sparser than about the scanner, and surfels that follow those leave out the others.
-    """
-    return max(_FEWEST_SURFELS, min(_MOST_SURFELS, points // _POINTS_PER_SURFEL))

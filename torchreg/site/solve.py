@@ -17,9 +17,9 @@ from torch import Tensor
 from torchreg.refinement.surfels import Surfels, surfels_of
 from torchreg.site.doubt import doubt
 from torchreg.site.found import with_odds
-from torchreg.site.frame import Framed, SiteFrame, frame_of, judged_again, known_poses
+from torchreg.site.frame import Framed, SiteFrame, frame_of, judged
 from torchreg.site.joint import refine_together
-from torchreg.site.links import KnownPose, Link
+from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, SiteProgress
 from torchreg.site.placement import Placement, place
 from torchreg.site.result import SiteLink, SiteResult
@@ -68,14 +68,12 @@ class Trusted(NamedTuple):
     doubt: float
 
 
-def placed(
-    candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, known: Sequence[KnownPose] = ()
-) -> Trusted:
+def placed(candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance) -> Trusted:
     """Place scans by the candidates of every pair; where links contradict each other, all are trusted less."""
     less = 0.0
     for _ in range(_DOUBTS):
         links = [link for pair in candidates for link in with_odds(pair, [one.log_odds - less for one in pair])]
-        placement = place(links, count, known=known, tolerance=tolerance)
+        placement = place(links, count, tolerance=tolerance)
         more = doubt(links, placement)
         if more < _LITTLE:
             break
@@ -172,7 +170,7 @@ class _Solver:
         begin = time.perf_counter()
         self.report(SiteProgress("place", 0, len(self.scans)))
         candidates = [self.found[pair].links for pair in self._tried()]
-        trusted = placed(candidates, len(self.scans), self._tolerance, known_poses(self.frame, self._thinned()))
+        trusted = placed(candidates, len(self.scans), self._tolerance)
         self.report(SiteProgress("place", len(self.scans), len(self.scans)))
         self._spent("placing", begin)
         return trusted
@@ -200,7 +198,8 @@ class _Solver:
                 known=framed.known,
                 report=self.report,
             )
-            points = judged_again(framed.points, refined.placement)
+            agreeing = {place for place, point in enumerate(framed.points) if not point.suspicious}
+            points = judged(self.frame.control, refined.placement, agreeing)
             framed = framed._replace(placement=refined.placement, points=points)
             self.notes = refined.notes
         self._spent("refining together", begin)
