@@ -109,7 +109,7 @@ def test_options_may_be_given_and_need_no_refinement(site):
 def test_progress_counts_every_step(site):
     seen: list[SiteProgress] = []
     tr.register_site(site.scans[:3], effort="fast", report=seen.append)
-    assert {each.stage for each in seen} == {"describe", "register", "place"}
+    assert {each.stage for each in seen} == {"describe", "register", "place", "refine"}
     last = {each.stage: each for each in seen}
     assert [last[name].done for name in ("describe", "register", "place")] == [3, 3, 3]
     assert all(each.done == each.total for each in last.values())
