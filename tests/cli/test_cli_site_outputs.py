@@ -137,7 +137,7 @@ def test_scans_that_are_not_placed_are_not_written(run, rooms, tmp_path):
     assert sorted(path.name for path in (tmp_path / "placed").iterdir()) == ["0.ply", "1.ply"]
     assert "1 scan not written" in result.stderr
     assert "thinned to cubes of 0.1 m (2 scans)" in result.stderr
-    nothing = run("site", inputs[0], "--out", tmp_path / "out", "--placed", tmp_path / "none")
+    nothing = run("site", inputs[0], "--out", tmp_path / "other", "--placed", tmp_path / "none")
     assert f"{tmp_path / 'none'} not written: no scan is placed" in nothing.stderr
     assert not (tmp_path / "none").exists()
 

@@ -1,6 +1,9 @@
 """A site on disk: resumed after any interruption, shared out, on any engine, it has the bits of an unbroken run."""
 
 import random
+import signal
+import subprocess
+import sys
 from contextlib import closing
 from dataclasses import replace
 
@@ -153,3 +156,25 @@ def test_shards_are_checked(text):
     with pytest.raises(ValueError, match="--shard: expected K/N"):
         Shard.of_text(text, "--shard")
     assert Shard.of_text("2/8", "--shard") == (2, 8)
+
+
+@pytest.mark.slow
+def test_killed_twenty_times_and_resumed_the_files_have_the_same_bytes(paths, tmp_path):
+    def start(out):
+        words = ["-m", "torchreg", "site", *map(str, paths), "--out", str(out), "--workers", "1"]
+        return subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    assert start(tmp_path / "whole").wait() == 0
+    draw, killed = random.Random(0), 0
+    for _ in range(20):
+        process = start(tmp_path / "broken")
+        try:
+            process.wait(draw.uniform(2.0, 8.0))
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            killed += 1
+            process.wait()
+    assert killed > 3
+    assert start(tmp_path / "broken").wait() == 0
+    for name in ("poses.csv", "site.json"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name

@@ -6,11 +6,11 @@ from problems import room_site
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of
 from torchreg.refinement.surfels import surfels_of
-from torchreg.site.sight import Seen, seen_by, seen_through, sight_of
+from torchreg.site.sight import SiteSight, between, seen_by, sight_of, witnessed_by
 
 
 def sights(count=2):
-    site = room_site(count, points=4000)
+    site = room_site(count, points=12000)
     return [sight_of(surfels_of(scan, 4000)) for scan in site.scans], site.T_world_scan
 
 
@@ -19,35 +19,68 @@ def shifted(x=0.0, degrees=0.0):
     return rigid(rotation_of(turn), torch.tensor([x, 0.0, 0.0], dtype=torch.float64))
 
 
-def test_the_true_pose_is_hardly_looked_through_and_others_are():
+def test_scanners_speak_for_the_true_pose_and_against_others():
     (a, b), T = sights()
-    true = compose(inverse(T[0]), T[1])
-    right = seen_through(b, a, true)
-    assert right < 0.05
+    right = witnessed_by(b, a, compose(inverse(T[0]), T[1]))
+    assert right.odds > 0.0
+    assert right.told > 0.5
     for wrong in (shifted(0.6), shifted(0.0, 30.0)):
-        assert seen_through(b, a, compose(compose(inverse(T[0]), wrong), T[1])) > 3 * right
+        assert witnessed_by(b, a, compose(compose(inverse(T[0]), wrong), T[1])).odds < right.odds - 1.0
 
 
-def test_both_directions_are_asked():
+def test_what_is_looked_through_grows_with_the_error():
+    (a, b), T = sights()
+    shares = [seen_by(a, b, compose(compose(inverse(T[0]), shifted(x)), T[1])).share for x in (0.0, 0.4, 0.8)]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.05
+
+
+def test_roles_do_not_matter():
     (a, b), T = sights()
     pose = compose(compose(inverse(T[0]), shifted(0.5)), T[1])
-    shares = seen_by(a, b, pose).share, seen_by(b, a, inverse(pose)).share
-    assert seen_through(b, a, pose) == max(shares)
-    assert seen_through(a, b, inverse(pose)) == seen_through(b, a, pose)
+    one, other = witnessed_by(b, a, pose), witnessed_by(a, b, inverse(pose))
+    assert one.told == other.told
+    assert abs(one.odds - other.odds) < 1e-9
+
+
+def test_other_colors_speak_against_a_pose():
+    (a, b), T = sights()
+    pose = compose(inverse(T[0]), T[1])
+    shuffled = torch.randperm(len(b.points), generator=torch.Generator().manual_seed(0))
+    painted = b._replace(colors=b.colors[shuffled])
+    brighter = b._replace(colors=b.colors + 0.1)
+    right = witnessed_by(b, a, pose).odds
+    assert witnessed_by(painted, a, pose).odds < right - 1.0
+    assert abs(witnessed_by(brighter, a, pose).odds - right) < 1e-6
+    assert witnessed_by(b._replace(colors=None), a, pose).odds <= right
+
+
+def test_nobody_sets_up_a_scanner_twice_at_one_place():
+    (a, b), T = sights()
+    same, apart = torch.eye(4, dtype=torch.float64), compose(inverse(T[0]), T[1])
+    assert between(a, a, same) == 0
+    assert between(b, a, apart) == between(a, b, inverse(apart)) > 0
+    painted = a._replace(colors=a.colors[torch.randperm(len(a.points), generator=torch.Generator().manual_seed(0))])
+    assert witnessed_by(a, a, same).odds > 0.0  # all was seen as it is
+    assert witnessed_by(a, painted, same).odds < witnessed_by(b, painted, apart).odds  # which stand apart
 
 
 def test_a_hidden_scan_says_nothing():
     (a, b), _ = sights()
     far = rigid(torch.eye(3, dtype=torch.float64), torch.tensor([0.0, 0.0, 100.0], dtype=torch.float64))
-    seen = seen_by(a, b, far)
-    assert seen == Seen(0, 0)
-    assert seen.share == 1 / 20
+    assert witnessed_by(b, a, far) == (0.0, 0.0)
+    site = SiteSight(lambda scan: (a, b)[scan], 2)
+    assert site.odds(1, 0, far) == 0.0
+    assert site.has(1)
+    assert not site.has(2)  # the world
 
 
 def test_scans_whose_scanner_is_not_known_have_no_sight():
     from dataclasses import replace
 
-    scan = room_site(1).scans[0]
-    assert sight_of(surfels_of(replace(scan, viewpoint=None), 500)) is None
+    scan = room_site(1, points=12000).scans[0]
+    assert sight_of(surfels_of(replace(scan, viewpoint=None), 4000)) is None
     guessed = replace(scan, viewpoint_assumed=torch.tensor([True]))
-    assert sight_of(surfels_of(guessed, 500)) is None
+    assert sight_of(surfels_of(guessed, 4000)) is None
+    assert sight_of(surfels_of(scan, 500)) is None  # too few
+    assert sight_of(surfels_of(scan, 4000)) is not None

@@ -27,6 +27,7 @@ from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
 from torchreg.report.text import legible, plain
 from torchreg.settings import LARGEST_READ, Settings
+from torchreg.site.pairs import ALL_SCANS
 from torchreg.site.result import SiteResult
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.site_json import site_to_dict
@@ -112,14 +113,15 @@ def site(
         ),
     ],
     effort: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--effort",
             metavar="|".join(WORK),
-            help="Work spent per pair, as for torchreg register.",
+            help="Work spent per pair, as for torchreg register; by default balanced, and fast for sites of more than "
+            f"{ALL_SCANS} scans.",
             rich_help_panel="Search",
         ),
-    ] = "balanced",
+    ] = None,
     seed: opt.Seed = 0,
 ) -> None:
     """Put many SCANS into one frame, in any order and without a first guess; all lengths are in meters.
@@ -135,7 +137,8 @@ def site(
     or not in one frame; the results say which and why.
     """
     opt.use(work.device, None)
-    one_of(effort, "--effort", tuple(WORK))
+    if effort is not None:
+        one_of(effort, "--effort", tuple(WORK))
     work.check()
     wanted.check()
     shard = sharing.chosen()

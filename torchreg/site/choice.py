@@ -10,6 +10,9 @@ Links that are wrong by accident hardly agree with each other, so a second and a
 places, such as floors of one plan, give many links that agree and are wrong, and more of them prove nothing. So the
 number of pairs counts up to a few, sure links vote first and alone (``_ROUNDS``), and places of several scans are not
 joined against links that are much likelier.
+
+Scanners of known places are witnesses: where a vote would lay look-alike places onto each other, they saw through each
+other's surfaces. So every ballot is weighed by what all of them would have seen.
 """
 
 from __future__ import annotations
@@ -23,10 +26,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.geometry.se3 import compose, inverse
+from torchreg.geometry.se3 import apply, compose, inverse
 from torchreg.site.graph import SiteGraph, residuals
 from torchreg.site.loops import Triangles, error_scale, support
 from torchreg.site.optimize import settle_poses
+from torchreg.site.sight import SiteSight
 from torchreg.site.tolerance import Tolerance
 
 _ROUNDS = ((4.0, True), (2.0, True), (0.0, True), (4.0, False), (2.0, False), (0.0, False), (-4.0, False))
@@ -41,6 +45,7 @@ _OUTVOTED = 2.0  # log-odds by which links that lose a vote may be likelier than
 _ROUGHLY = 1e-4  # radians and meters, to which poses are settled between the rounds
 _PLACE = 6  # scans of a group that may be a place with a look-alike
 _BALLOTS = 6  # at most, between two groups
+_ASKED = 16  # pairs of scanners of two groups, the nearest
 
 
 class Start(NamedTuple):
@@ -57,11 +62,12 @@ class _Ballot(NamedTuple):
     score: float  # log of the sum of their odds
     level: float  # mean log-odds of the likelier half of them
     pairs: int  # that say so, and one more where a triangle confirms a link of them
+    seen: float = 0.0  # log-odds, from what the scanners of both groups saw if it is right
 
 
-def choose(graph: SiteGraph, triangles: Triangles, tolerance: Tolerance) -> Start:
-    """Join scans by the links that are to be believed."""
-    return _Growth(graph, triangles, tolerance).grown()
+def choose(graph: SiteGraph, triangles: Triangles, tolerance: Tolerance, sight: SiteSight | None = None) -> Start:
+    """Join scans by the links that are to be believed, as far as what scanners saw does not speak against it."""
+    return _Growth(graph, triangles, tolerance, sight).grown()
 
 
 def best_of_pairs(graph: SiteGraph, rows: Tensor, excess: Tensor) -> Tensor:
@@ -75,8 +81,8 @@ def best_of_pairs(graph: SiteGraph, rows: Tensor, excess: Tensor) -> Tensor:
 
 
 class _Growth:
-    def __init__(self, graph: SiteGraph, triangles: Triangles, tolerance: Tolerance) -> None:
-        self.graph, self.tolerance = graph, tolerance
+    def __init__(self, graph: SiteGraph, triangles: Triangles, tolerance: Tolerance, sight: SiteSight | None) -> None:
+        self.graph, self.tolerance, self.sight = graph, tolerance, sight
         nodes = graph.count + 1
         self.ends: list[tuple[int, int]] = list(zip(graph.first.tolist(), graph.second.tolist(), strict=True))
         self.evidence = graph.evidence.tolist()
@@ -134,17 +140,52 @@ class _Growth:
         few, many = sorted((one, other), key=lambda group: (len(self.members[group]), group))
         rows = self._between(few, many)
         ballots = self._ballots([k for k in rows if self.evidence[k] >= gate], few)
+        if self.sight is not None:
+            ballots = [ballot._replace(seen=self._seen(ballot.row, few, many)) for ballot in ballots]
         ballots.sort(key=lambda ballot: (-_standing(ballot), ballot.row))
         first, rivals = ballots[0], ballots[1:]
         outvoted = _OUTVOTED if len(self.members[few]) >= _PLACE else math.inf
         beaten = all(
             _standing(first) - _standing(rival) >= _AHEAD and rival.level - first.level <= outvoted for rival in rivals
         )
-        if first.score < 0 or not beaten:
+        if first.score + first.seen < 0 or not beaten:
             refused.add((one, other))
             return False
         self._join(first.row, few, many, rows)
         return True
+
+    def _seen(self, row: int, few: int, many: int) -> float:
+        """The log-odds of what scanners of both groups saw of each other's surfaces if link ``row`` is right.
+
+        The scanners that would stand nearest to each other are asked: look-alike places would lie on each other.
+        """
+        sight, zero = self.sight, self.graph.zero
+        assert sight is not None  # the caller knows
+        a, b = self.ends[row]
+        T = self.graph.T[row] if self.group[a] != few else inverse(self.graph.T[row])
+        fixed, moving = (a, b) if self.group[a] != few else (b, a)
+        motion = compose(compose(self.poses[fixed], T), inverse(self.poses[moving]))
+        moved, others = (self._witnesses(group) for group in (few, many))
+        if not moved or not others:
+            return 0.0
+        poses = {scan: compose(motion, self.poses[scan]) for scan in moved} | {
+            scan: self.poses[scan] for scan in others
+        }
+        stand = {scan: apply(pose, sight.scanner(scan)[None] - zero[scan])[0] for scan, pose in poses.items()}
+        away = torch.stack([stand[scan] for scan in moved])[:, None] - torch.stack([stand[scan] for scan in others])
+        apart = torch.linalg.vector_norm(away, dim=2).flatten()
+        total = 0.0
+        for place in apart.argsort(stable=True)[:_ASKED].tolist():
+            k, m = divmod(place, len(others))
+            source, target = moved[k], others[m]
+            T = compose(inverse(poses[target]), poses[source])  # between frames about the zeros of the scans
+            T[:3, 3] += zero[target] - T[:3, :3] @ zero[source]
+            total += sight.odds(source, target, T)
+        return total
+
+    def _witnesses(self, group: int) -> list[int]:
+        """The scans of a group whose scanners' places are known."""
+        return [scan for scan in self.members[group] if self.sight is not None and self.sight.has(scan)]
 
     def _between(self, few: int, many: int) -> list[int]:
         """The links between two groups, in order."""
@@ -239,4 +280,4 @@ class _Growth:
 
 
 def _standing(ballot: _Ballot) -> float:
-    return ballot.level + math.log(min(ballot.pairs, _COUNTED)) + _CONFIRMED * (min(ballot.pairs, 3) - 1)
+    return ballot.level + math.log(min(ballot.pairs, _COUNTED)) + _CONFIRMED * (min(ballot.pairs, 3) - 1) + ballot.seen

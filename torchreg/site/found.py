@@ -3,9 +3,10 @@
 ``register`` refines the poses that it accepts. Here every candidate that has a chance is refined, since where flat
 places of both clouds do not hold a pose near where it is, it is hardly right: of right candidates nine in ten could be
 refined, of wrong ones four in ten. So log-odds s against none become s + b, and s + b + c where a pose was refined, and
-probabilities follow from these as ``register``'s do from its own (``verification/model.py``). Fitted by likelihood on
-the pairs of seven real sites; fitted on six of them, b is -2.1 to -1.3 and c 1.9 to 2.4, and the pairs of the seventh
-become likelier than by s alone, whichever it is.
+what scanners of known places saw is added (``sight``). Probabilities follow from these as those of ``register`` from
+its own (``verification/model.py``). b and c were fitted by likelihood on the pairs of seven real sites; fitted on six
+of them, b is -2.1 to -1.3 and c 1.9 to 2.4, and the pairs of the seventh become likelier than by s alone, whichever it
+is.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from torchreg.site.links import Link, loose_covariance
 from torchreg.types import Clouds, RegistrationResult
 
 _LOWER, _REFINED = -1.8, 2.1  # b and c
-_THROUGH, _SOME = 2.0, 0.05  # d and the share that costs nothing
 _UNREFINED = 0.4  # inlier thresholds: deviation of a right candidate that was not refined (measured: 0.1 to 0.4)
 _FAINTEST = -12.0  # log-odds s: candidates below cannot be right, whatever their neighbors say
 _CHANCE = -2.2  # log-odds s: candidates above are refined
@@ -93,8 +93,8 @@ def weighed(links: Sequence[Link]) -> list[Link]:
 
 def _odds(link: Link) -> float:
     odds = link.log_odds + _LOWER + (0.0 if math.isnan(link.residual) else _REFINED)
-    if not math.isnan(link.through):
-        odds -= _THROUGH * max(0.0, math.log(link.through / _SOME))
+    if not math.isnan(link.sight):
+        odds += link.sight
     return odds
 
 

@@ -40,8 +40,8 @@ class Link:
         center: (3,) float64, meters, in the target's frame: the middle of the overlap.
         overlap: share of points with a partner; NaN where it is not known.
         residual: meters, between the surfaces of the overlap; NaN likewise.
-        through: share of the surfaces of either scan that the scanner of the other looked through under this pose, the
-            larger of both (``sight``); NaN where a scanner's place is not known or the pose was not refined.
+        sight: log-odds from what the scanners saw under this pose (``sight``), which are part of ``log_odds``; NaN
+            where a scanner's place is not known.
         rank: the place among the candidates of its pair, 0 for the best.
         reason: why the pair was refused when it was registered; empty where it was not.
 
@@ -58,7 +58,7 @@ class Link:
     center: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
     overlap: float = math.nan
     residual: float = math.nan
-    through: float = math.nan
+    sight: float = math.nan
     rank: int = 0
     reason: str = ""
 

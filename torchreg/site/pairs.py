@@ -86,13 +86,15 @@ class PairPlan:
         self._scans, self._options, self._effort = scans, options, effort
         self._place = {scan: place for place, scan in enumerate(self.usable)}
         self._known: dict[Hashable, RegistrationOptions] = {}
+        facts = [scans.look(scan).facts for scan in self.usable]
+        # scans around a known scanner are dense beside it, and what they share is far off
+        around = bool(facts) and all(one.faced for one in facts)
+        self._surfels = surfel_count(sorted(one.points for one in facts)[len(facts) // 2]) if around else None
         if options is None:
             scales = {
                 scan: scans.look(scan).coarse if self.is_large else scans.look(scan).scale for scan in self.usable
             }
             self._alone = {scan: scale for scan, scale in scales.items() if scale is not None}
-            points = sorted(scans.look(scan).facts.points for scan in self.usable)
-            self._surfels = surfel_count(points[len(points) // 2]) if points else 1
             self._shared = {**self._alone, **shared_scales(self._alone, self._of_one_unit())}
 
     @property
@@ -124,9 +126,9 @@ class PairPlan:
             common = Scale(max(scale.voxel for scale in shared), max(scale.spacing for scale in shared))
             apart = (alone[0].spacing, alone[1].spacing)
             voxel = common.voxel if common.voxel > 0 else None
-            effort = "balanced" if self._effort is None else self._effort
+            effort = self._effort or ("fast" if self.is_large else "balanced")
             derived = options_of_spacings(apart, voxel, scale=common.spacing, colored=colored, effort=effort)
-            self._known[key] = replace(derived, refine_points=self._surfels)
+            self._known[key] = derived if self._surfels is None else replace(derived, refine_points=self._surfels)
         return self._known[key]
 
     def _of_one_unit(self) -> list[tuple[int, int]]:

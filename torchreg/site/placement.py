@@ -19,6 +19,7 @@ from torchreg.site.links import KnownPose, Link
 from torchreg.site.loops import Triangles, agreeing_triangles
 from torchreg.site.optimize import SettledPoses, settle_poses
 from torchreg.site.reasons import reasons_of
+from torchreg.site.sight import SiteSight
 from torchreg.site.tolerance import Tolerance
 
 _FAINT = -4.0  # log-odds: links below take no part before there are poses
@@ -80,7 +81,12 @@ class Placement:
 
 
 def place(
-    links: Sequence[Link], count: int, *, known: Iterable[KnownPose] = (), tolerance: Tolerance = _DEFAULT
+    links: Sequence[Link],
+    count: int,
+    *,
+    known: Iterable[KnownPose] = (),
+    tolerance: Tolerance = _DEFAULT,
+    sight: SiteSight | None = None,
 ) -> Placement:
     """Put scans into one frame by the links that can be believed.
 
@@ -93,6 +99,7 @@ def place(
         count: scans, N; they are numbered from 0.
         known: poses that are known beforehand, each with its own covariance.
         tolerance: how far poses may be apart that are held to be one.
+        sight: what the scanners saw, which speaks for or against joining groups.
 
     Returns:
         The poses, bit for bit the same for any order of the links and any number of threads.
@@ -112,7 +119,7 @@ def place(
         graph = site_graph(links, known, count)
         likely = (graph.evidence >= _FAINT).nonzero()[:, 0]
         some = graph.take(likely)
-        start = choose(some, agreeing_triangles(some, tolerance), tolerance)
+        start = choose(some, agreeing_triangles(some, tolerance), tolerance, sight)
         settled = _settled(graph, start.poses, likely[start.believed], tolerance)
         return _placement(graph, links, settled, tolerance)
 

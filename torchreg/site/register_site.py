@@ -41,7 +41,8 @@ def register_site(
         options: in meters, for all pairs; ``None`` derives them from the spacing of the points, one scale for scans of
             about one spacing, so that each is described once.
         effort: ``"fast"``, ``"balanced"`` or ``"thorough"``, as for ``register``; ``None`` takes that of the options,
-            and balanced where they are derived or plain, which weighs no pose.
+            balanced where they are plain, which weighs no pose; where they are derived, balanced, and fast for sites
+            of more than 32 scans.
         frame: a scan that is fixed, known poses, control points, or that z is up; by default the first scan of every
             group has the identity.
         seed: of every random draw. The same seed gives the same bits, for any number of threads; another order of the

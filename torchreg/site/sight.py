@@ -1,27 +1,50 @@
-"""What a scanner saw speaks against a pose: surfaces of the other scan that it looked through.
+"""What scanners saw, for or against a pose of two scans.
 
-Rooms of one kind, floors of one plan and panels of a row fit onto each other almost as well as one place onto itself,
-and far better than two rooms do that share a door. What tells them apart is the little that is not alike: where a
-cupboard of the one scan stands, the scanner of the other saw the wall behind it. A surface that is hidden says nothing,
-one that is seen where it should be speaks for the pose, and one that the scanner looked through speaks against it, if
-the pose is known more exactly than it is seen through: so this is asked of refined poses.
+Rooms of one kind, floors of one plan and bays of a row fit onto each other almost as well as one place onto itself, and
+far better than two rooms do that share a door. What tells them apart is the little that is not alike. Where a cupboard
+of the one scan stands, the scanner of the other saw the wall behind it; carpets and posters have other colors; and the
+two scanners would have stood at the same place, where nobody sets up a scanner twice. A surface that is hidden says
+nothing; one that is seen where it should be, in its color, speaks for the pose, and one that was looked through against
+it.
+
+Only scanners whose places are known are asked. The weights were chosen on three simulated buildings and, for what was
+looked through, on the pairs of real sites from lidars and depth cameras, where right poses were looked through by 1 %
+in the median and wrong ones by 18 %.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchreg.errors import expect
 from torchreg.geometry.se3 import apply, inverse
 from torchreg.neighborhoods.point_index import several_nearest
 from torchreg.refinement.surfels import Surfels
 
+_FINE = 1500  # surfels of a scan at least
 _NEAREST = 4  # rays of the scanner around a surfel
 _WIDER = 1.5  # of the angle between its rays: no ray is farther from a surfel that it tells something of
 _SLACK, _SLOPE = 0.5, 0.01  # spacings, and of the range, by which a range may be off
 _GRAZING = 0.3  # cosine between ray and normal: planes seen flatter are not drawn out
+_CLOSE = 0.25  # slacks: surfels that are as near to where they are seen are the same place, whose colors are compared
+
+_LEAST, _MANY = 80, 400  # surfels of both that tell something: fewer say nothing, so many count in full
+_MUCH = 0.3  # of the surfels: from there on, what was seen counts in full
+_FOR = 1.5  # log-odds at most that one kind of evidence speaks for a pose
+_THROUGH, _USUAL, _AGAINST = 1.2, 0.03, 3.0  # weight, the share that speaks neither way, log-odds at most against
+_COLOR, _OTHER, _COLORS_AGAINST = 2.5, 0.14, 4.0  # likewise, of the share whose colors differ
+_DIFFER = 0.06  # mean difference of channels, besides what all surfels differ by
+_LEAST_COLORED = 20  # surfels seen
+_FLOOR = 0.03  # of the share whose colors differ
+_TWICE, _STAND = 3.0, 0.2  # log-odds against scanners at one place; of their ranges, how far apart they are two
+
+NEAR = 3.0
+"""Ranges apart, from which on scanners hardly see the same."""
 
 
 class Sight(NamedTuple):
@@ -33,8 +56,10 @@ class Sight(NamedTuple):
         rays: (P, 3) float64, of unit length, from the scanner.
         normals: (P, 3) float64, of unit length.
         ranges: (P,) float64, meters.
+        colors: (P, 3) float64 in [0, 1], or ``None``.
         angle: radians between neighboring rays, the median.
         spacing: meters between neighboring surfels.
+        reach: meters, the median range.
     """
 
     points: Tensor
@@ -42,15 +67,26 @@ class Sight(NamedTuple):
     rays: Tensor
     normals: Tensor
     ranges: Tensor
+    colors: Tensor | None
     angle: float
     spacing: float
+    reach: float
 
 
 class Seen(NamedTuple):
-    """Of surfels of one scan that the scanner of another could have seen: how many it looked through, and saw."""
+    """Of surfels of one scan that the scanner of another could have seen.
+
+    Attributes:
+        through: how many it looked through.
+        there: how many it saw.
+        differ: the share of those seen that have other colors; NaN where that is not known.
+        told: the share of all surfels that it looked through or saw.
+    """
 
     through: int
     there: int
+    differ: float
+    told: float
 
     @property
     def share(self) -> float:
@@ -58,24 +94,40 @@ class Seen(NamedTuple):
         return (self.through + 1.0) / (self.through + self.there + 20.0)
 
 
-def sight_of(surfels: Surfels) -> Sight | None:
-    """The sight of a batch of one; ``None`` where the place of its scanner is not known, or it has few surfels."""
+def sight_of(surfels: Surfels, most: int = 6000) -> Sight | None:
+    """The sight of a batch of one, of so many surfels at most.
+
+    ``None`` where the place of its scanner is not known, or it has less than 1,500 surfels: wide ones are seen through
+    under right poses too.
+    """
     cloud = surfels.cloud
-    if cloud.viewpoint is None or not bool(cloud.viewpoint_known.all()) or len(cloud.points) <= _NEAREST:
+    if cloud.viewpoint is None or not bool(cloud.viewpoint_known.all()) or len(cloud.points) < _FINE:
         return None
-    origin = cloud.origin[0].cpu()
-    away = (cloud.points - cloud.viewpoint[0]).double().cpu()
+    step = max(1, -(-len(cloud.points) // most))  # in Z order: an even choice
+    away = (cloud.points[::step] - cloud.viewpoint[0]).double().cpu()
     ranges = torch.linalg.vector_norm(away, dim=1).clamp(min=1e-9)
     rays = away / ranges[:, None]
     near = several_nearest(rays, rays, _NEAREST)
-    angle = float(torch.linalg.vector_norm(rays[near[:, -1]] - rays, dim=1).median())
-    scanner = cloud.viewpoint[0].double().cpu() + origin
+    scanner = (cloud.viewpoint[0].double() + cloud.origin[0]).cpu()
     normals: Tensor = cloud.normals  # type: ignore[assignment]  # surfels have them
-    return Sight(away + scanner, scanner, rays, normals.double().cpu(), ranges, angle, surfels.spacing[0])
+    return Sight(
+        points=away + scanner,
+        scanner=scanner,
+        rays=rays,
+        normals=normals[::step].double().cpu(),
+        ranges=ranges,
+        colors=None if cloud.colors is None else cloud.colors[::step].double().cpu(),
+        angle=float(torch.linalg.vector_norm(rays[near[:, -1]] - rays, dim=1).median()),
+        spacing=surfels.spacing[0] * math.sqrt(step),
+        reach=float(ranges.median()),
+    )
 
 
-def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor) -> Seen:
-    """What the scanner of ``viewer`` saw of the surfels of ``other`` under a pose (4, 4) float64."""
+def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor, *, exact: bool = True) -> Seen:
+    """What the scanner of ``viewer`` saw of the surfels of ``other`` under a pose (4, 4) float64.
+
+    ``exact`` says that the pose is, to a part of a spacing, so that colors are compared of the same places alone.
+    """
     away = apply(T_viewer_other, other.points) - viewer.scanner
     ranges = torch.linalg.vector_norm(away, dim=1).clamp(min=1e-9)
     rays = away / ranges[:, None]
@@ -91,10 +143,100 @@ def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor) -> Seen:
     slack = _SLACK * max(viewer.spacing, other.spacing) + _SLOPE * ranges
     through = looked & (least - ranges > slack)
     there = looked & (least - ranges <= slack) & (ranges - most <= slack)
-    return Seen(int(through.sum()), int(there.sum()))
+    counts = int(through.sum()), int(there.sum())
+    differ = math.nan
+    same = there & ((drawn - ranges[:, None]).abs().amin(dim=1) < _CLOSE * slack) if exact else there
+    if int(same.sum()) > _LEAST_COLORED and viewer.colors is not None and other.colors is not None:
+        apart = (viewer.colors[near[:, 0]] - other.colors)[same]
+        apart = (apart - apart.median(dim=0).values).abs().mean(dim=1)
+        differ = float((apart > _DIFFER).double().mean())
+    return Seen(*counts, differ, sum(counts) / len(ranges))
 
 
-def seen_through(source: Sight, target: Sight, T_target_source: Tensor) -> float:
-    """The share of the surfaces of either scan that the scanner of the other looked through, the larger of both."""
-    forth, back = seen_by(target, source, T_target_source), seen_by(source, target, inverse(T_target_source))
-    return max(forth.share, back.share)
+class Witnessed(NamedTuple):
+    """What both scanners saw under a pose.
+
+    Attributes:
+        odds: log-odds for it, or against it; 0 where they tell nothing.
+        told: in [0, 1], the larger share of the surfels of either that the other tells something of.
+    """
+
+    odds: float
+    told: float
+
+
+def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor, *, exact: bool = True) -> Witnessed:
+    """What both scanners saw under a pose (4, 4) float64; ``exact`` as in ``seen_by``."""
+    forth = seen_by(target, source, T_target_source, exact=exact)
+    views = forth, seen_by(source, target, inverse(T_target_source), exact=exact)
+    if sum(view.through + view.there for view in views) < _LEAST:
+        return Witnessed(0.0, 0.0)
+    odds = _clamped(_THROUGH * math.log(_USUAL / max(view.share for view in views)), _AGAINST)
+    differ = [view.differ for view in views if not math.isnan(view.differ)]
+    if differ:
+        share = max(_FLOOR, sum(differ) / len(differ))
+        odds += _clamped(_COLOR * math.log(_OTHER / share), _COLORS_AGAINST)
+    # where all is seen as it should be, a scanner may have stood twice at one place; where not, it hardly has
+    doubtful = min(1.0, max(0.0, 1.0 - odds / _FOR))
+    odds -= doubtful * _TWICE * max(0.0, 1.0 - between(source, target, T_target_source) / _STAND)
+    few = min(1.0, sum(view.through + view.there for view in views) / _MANY)
+    return Witnessed(few * odds, max(view.told for view in views))
+
+
+def between(source: Sight, target: Sight, T_target_source: Tensor) -> float:
+    """How far apart two scanners stand, as a multiple of the mean of their ranges."""
+    apart = apply(T_target_source, source.scanner[None])[0] - target.scanner
+    return float(torch.linalg.vector_norm(apart)) / (0.5 * (source.reach + target.reach))
+
+
+class SiteSight:
+    """What the scanners of a site saw, asked for two scans under poses that come up again and again.
+
+    Args:
+        sights: the sight of a scan by its number, or ``None``.
+        count: of the scans.
+    """
+
+    def __init__(self, sights: Callable[[int], Sight | None], count: int) -> None:
+        self._sights, self._count = sights, count
+        self._known: dict[int, Sight | None] = {}
+        self._odds: dict[tuple[int, int, tuple[float, ...]], float] = {}
+
+    def has(self, node: int) -> bool:
+        """Whether a node of the graph is a scan whose scanner's place is known."""
+        return node < self._count and self.of(node) is not None
+
+    def scanner(self, scan: int) -> Tensor:
+        """The place (3,) of a scanner that is known, in the frame of the scan's file."""
+        sight = self.of(scan)
+        expect(sight is not None, "scan", "one whose scanner's place is known", scan)
+        return sight.scanner  # type: ignore[union-attr]  # just checked
+
+    def of(self, scan: int) -> Sight | None:
+        """The sight of a scan."""
+        if scan not in self._known:
+            self._known[scan] = self._sights(scan)
+        return self._known[scan]
+
+    def odds(self, source: int, target: int, T_target_source: Tensor) -> float:
+        """Log-odds for a pose, or against it, from what both saw; the less, the less of both that is.
+
+        Of poses that are within a part of a spacing of each other, those of the first that was asked.
+        """
+        one, other = self.of(source), self.of(target)
+        if one is None or other is None:
+            return 0.0
+        if between(one, other, T_target_source) > NEAR:
+            return 0.0
+        fine = max(one.spacing, other.spacing)
+        shift = T_target_source[:3, 3] / fine
+        turn = T_target_source[:3, :3] * (max(one.reach, other.reach) / fine)
+        key = (source, target, tuple(torch.cat([shift, turn.flatten()]).mul_(2.0).round_().tolist()))
+        if key not in self._odds:
+            seen = witnessed_by(one, other, T_target_source, exact=False)
+            self._odds[key] = min(1.0, seen.told / _MUCH) * seen.odds
+        return self._odds[key]
+
+
+def _clamped(odds: float, against: float) -> float:
+    return max(-against, min(_FOR, odds))

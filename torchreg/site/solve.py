@@ -6,6 +6,7 @@ less trust where links contradict each other       ``doubt``
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ from torchreg.site.placement import Placement, place
 from torchreg.site.result import SiteLink, SiteResult
 from torchreg.site.rounds import Pair, Standing, first_pairs, most_pairs, next_pairs
 from torchreg.site.scans import SiteScans
+from torchreg.site.sight import SiteSight, sight_of
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
 from torchreg.site.work import PairFound, SiteWork
@@ -36,6 +38,7 @@ _DOUBTS = 4  # rounds of doubt
 _LITTLE = 0.5  # log-odds: doubt below changes nothing
 _ROUNDS = 8  # of pairs at most
 _TOLD = 500  # comparisons between reports
+_WITNESS = 2500  # surfels of a scan that others are asked about
 _NOTHING = Clouds(torch.zeros(0, 3))
 
 
@@ -68,17 +71,28 @@ class Trusted(NamedTuple):
     doubt: float
 
 
-def placed(candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance) -> Trusted:
-    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less."""
+def placed(
+    candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, sight: SiteSight | None = None
+) -> Trusted:
+    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less.
+
+    But where scanners are witnesses, they say which are wrong, and the others are not blamed.
+    """
     less = 0.0
     for _ in range(_DOUBTS):
         links = [link for pair in candidates for link in with_odds(pair, [one.log_odds - less for one in pair])]
-        placement = place(links, count, tolerance=tolerance)
-        more = doubt(links, placement)
+        placement = place(links, count, tolerance=tolerance, sight=sight)
+        more = 0.0 if witnessed(links) else doubt(links, placement)
         if more < _LITTLE:
             break
         less += more
     return Trusted(links, placement, less)
+
+
+def witnessed(links: Sequence[Link]) -> bool:
+    """Whether scanners of known places were asked about most links that may be right."""
+    likely = [link for link in links if link.log_odds > 0]
+    return 2 * sum(not math.isnan(link.sight) for link in likely) > len(likely)
 
 
 @dataclass
@@ -97,6 +111,7 @@ class _Solver:
 
     def __post_init__(self) -> None:
         self.notes = ((),) * len(self.scans)
+        self.sight = SiteSight(lambda scan: sight_of(self._surfels(scan), _WITNESS), len(self.scans))
 
     def solved(self) -> SiteResult:
         if not self.plan.is_large:
@@ -170,7 +185,7 @@ class _Solver:
         begin = time.perf_counter()
         self.report(SiteProgress("place", 0, len(self.scans)))
         candidates = [self.found[pair].links for pair in self._tried()]
-        trusted = placed(candidates, len(self.scans), self._tolerance)
+        trusted = placed(candidates, len(self.scans), self._tolerance, self.sight)
         self.report(SiteProgress("place", len(self.scans), len(self.scans)))
         self._spent("placing", begin)
         return trusted

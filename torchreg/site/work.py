@@ -21,7 +21,7 @@ from torchreg.site.found import has_chance, is_worth_a_look, links_of, refined_l
 from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, Report, SitePair, SiteProgress, alike
 from torchreg.site.result import TriedPair
-from torchreg.site.sight import Sight, seen_through, sight_of
+from torchreg.site.sight import Sight, sight_of, witnessed_by
 from torchreg.site.sketches import Sketch, sketch_of
 from torchreg.types import Clouds
 
@@ -73,7 +73,7 @@ def registered_slice(pairs: Sequence[SitePair], sides: Sides, seed: int) -> list
         if refined is not None:
             for number, (row, rank) in enumerate(part):
                 links[row][rank] = refined_link(links[row][rank], refined, number)
-    _look_through(pairs, links, sides)
+    _ask_scanners(pairs, links, sides)
     found = []
     for number, (pair, own) in enumerate(zip(pairs, links, strict=True)):
         success, candidates = bool(result.success[number]), len(result.candidates[number])
@@ -82,8 +82,8 @@ def registered_slice(pairs: Sequence[SitePair], sides: Sides, seed: int) -> list
     return found
 
 
-def _look_through(pairs: Sequence[SitePair], links: Sequence[list[Link]], sides: Sides) -> None:
-    """Ask what the scanners looked through under every pose that has a chance."""
+def _ask_scanners(pairs: Sequence[SitePair], links: Sequence[list[Link]], sides: Sides) -> None:
+    """Ask what the scanners saw under every pose that has a chance."""
     known: dict[DescriptionKey, Sight | None] = {}
     for pair, own in zip(pairs, links, strict=True):
         for key in pair.sides():
@@ -95,7 +95,7 @@ def _look_through(pairs: Sequence[SitePair], links: Sequence[list[Link]], sides:
             continue
         for rank, link in enumerate(own):
             if is_worth_a_look(link):
-                own[rank] = replace(link, through=seen_through(source, target, link.T_target_source))
+                own[rank] = replace(link, sight=witnessed_by(source, target, link.T_target_source).odds)
 
 
 def _refined(pairs: Sequence[SitePair], sides: Sides, T_target_source: Tensor) -> Refined | None:
