@@ -184,7 +184,7 @@ def site(
         complain(by_options(trouble) if name in trouble else f"{name}: {by_options(trouble)}")
     result = replace(result, reason=_worded(result.reason), notes=tuple(map(_worded, result.notes)))
     write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
-    write_json(out / "site.json", site_to_dict(result, names, seed=seed))
+    write_json(out / "site.json", site_to_dict(result, names, seed=seed), through_link=False)
     written = [out / "poses.csv", out / "site.json"]
     written += write_site_outputs(outputs, result, run.found, how, written)
     if result.control:

@@ -138,7 +138,7 @@ def write_control_csv(path: Path, points: Sequence[JudgedPoint], names: Sequence
         residual = "" if math.isnan(meters) else repr(meters)
         where = map(repr, point.world)
         writer.writerow([cell_of_text(point.name), cell_of_text(names[point.scan]), *where, residual, int(suspicious)])
-    write_text(path, text.getvalue())
+    write_text(path, text.getvalue(), through_link=False)
 
 
 def points_in_words(points: Sequence[JudgedPoint], names: Sequence[str]) -> list[str]:

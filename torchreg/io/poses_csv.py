@@ -45,7 +45,7 @@ def write_poses_csv(path: str | os.PathLike[str], scans: Sequence[str], group: T
     for name, number, pose in zip(scans, group.tolist(), T_world_scan.flatten(1).tolist(), strict=True):
         cells = [number, *map(repr, pose)] if number >= 0 else [""] * (len(COLUMNS) - 1)
         writer.writerow([cell_of_text(name), *cells])
-    write_text(path, text.getvalue())
+    write_text(path, text.getvalue(), through_link=False)
 
 
 class ScanPose(NamedTuple):

@@ -26,7 +26,7 @@ def test_the_page_tells_scans_links_and_reasons(site, scans):
     page = site_report_html(site, scans)
     assert "3 of 4 scans are placed in one frame" in page
     assert "scan 3 is not placed: too few points" in page
-    for heading in ("What to look at first", "The scans in 3D", "Scans", "Links", "Times and versions"):
+    for heading in ("What to look at first", "The scans in 3D", "Scans", "Links", "Versions"):
         assert f"<h2>{heading}</h2>" in page
     assert page.count('class="viewer"') == 1
     assert page == site_report_html(site, scans)

@@ -195,10 +195,9 @@ def refused(reported: ReportedSite) -> str:
 
 
 def run(reported: ReportedSite) -> str:
-    """Times and versions."""
-    seconds = [(name, f"{value:.1f} s") for name, value in reported.site.seconds]
+    """Versions; no times, so that the same run gives the same page."""
     known = [(name, value) for name, value in versions().items() if value is not None]
-    return markup.section("Times and versions", markup.named_rows([*seconds, *known]))
+    return markup.section("Versions", markup.named_rows(known))
 
 
 SITE_SECTIONS: tuple[Callable[[ReportedSite], str], ...] = (
