@@ -169,7 +169,7 @@ def test_killed_twenty_times_and_resumed_the_files_have_the_same_bytes(paths, tm
     for _ in range(20):
         process = start(tmp_path / "broken")
         try:
-            process.wait(draw.uniform(2.0, 8.0))
+            process.wait(draw.uniform(0.5, 4.5))
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             killed += 1

@@ -27,7 +27,7 @@ from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.poses_csv import write_poses_csv
 from torchreg.report.text import legible, plain
 from torchreg.settings import LARGEST_READ, Settings
-from torchreg.site.pairs import ALL_SCANS
+from torchreg.site.pairs import FEW_SCANS
 from torchreg.site.result import SiteResult
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.site_json import site_to_dict
@@ -118,7 +118,7 @@ def site(
             "--effort",
             metavar="|".join(WORK),
             help="Work spent per pair, as for torchreg register; by default balanced, and fast for sites of more than "
-            f"{ALL_SCANS} scans.",
+            f"{FEW_SCANS} scans.",
             rich_help_panel="Search",
         ),
     ] = None,

@@ -18,7 +18,10 @@ from torchreg.site.scan_surfels import surfel_count
 from torchreg.site.scans import SiteScans
 from torchreg.types.lengths import besides_lengths
 
-ALL_SCANS = 32
+FEW_SCANS = 32
+"""Sites of more scans are registered on thinner scans, and at the effort ``"fast"`` unless told otherwise."""
+
+ALL_SCANS = 64
 """Sites of no more scans are registered with all their pairs."""
 
 
@@ -99,8 +102,13 @@ class PairPlan:
 
     @property
     def is_large(self) -> bool:
-        """Whether not all pairs are registered, and those that are on thinner scans."""
-        return len(self.usable) > ALL_SCANS
+        """Whether scans are so many that a pair must not take long."""
+        return len(self.usable) > FEW_SCANS
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all pairs are registered."""
+        return len(self.usable) <= ALL_SCANS
 
     def all_pairs(self) -> list[tuple[int, int]]:
         """All pairs (source, target)."""

@@ -114,7 +114,7 @@ class _Solver:
         self.sight = SiteSight(lambda scan: sight_of(self._surfels(scan), _WITNESS), len(self.scans))
 
     def solved(self) -> SiteResult:
-        if not self.plan.is_large:
+        if self.plan.is_whole:
             self._register(self.plan.all_pairs())
             trusted = self._placed()
         else:
@@ -122,7 +122,7 @@ class _Solver:
         return self._result(trusted, self._refined(trusted))
 
     def registered_share(self, share: slice) -> int:
-        if not self.plan.is_large:
+        if self.plan.is_whole:
             pairs = self.plan.all_pairs()
         else:
             chosen = first_pairs(self._prospects().votes)[: most_pairs(len(self.plan.usable))]
