@@ -4,8 +4,10 @@ import pytest
 import torch
 from sites import made_site
 
+from torchreg.site import solve
 from torchreg.site.doubt import doubt
 from torchreg.site.placement import place
+from torchreg.site.tolerance import Tolerance
 
 
 def doubt_of(site):
@@ -39,6 +41,15 @@ def test_a_tree_alone_is_no_test():
         joined |= {link.source, link.target}
         tree.append(link)
     assert doubt(tree, place(tree, 12)) == 0.0
+
+
+def test_the_doubt_that_is_told_is_what_was_taken(monkeypatch):
+    links = made_site(6, 12, wrong=0.0).links
+    monkeypatch.setattr(solve, "doubt", lambda links, placement: 1.0)  # which never ends
+    trusted = solve.placed([[link] for link in links], 6, Tolerance())
+    assert trusted.doubt > 0
+    taken = [link.log_odds - less.log_odds for link, less in zip(links, trusted.links, strict=True)]
+    assert taken == pytest.approx([trusted.doubt] * len(links))
 
 
 def test_nothing_placed_is_no_doubt():

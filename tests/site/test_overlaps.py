@@ -3,13 +3,12 @@
 import torch
 from rooms import rooms
 
-from torchreg.refinement.measure import facing_scanner
 from torchreg.refinement.surfels import surfels_of
 from torchreg.site.overlaps import filled_cells, overlapping
 
 
 def cells_of(made, *, faced):
-    surfels = [facing_scanner(surfels_of(scan, 20_000)) for scan in made.scans]
+    surfels = [surfels_of(scan, 20_000) for scan in made.scans]
     return [
         filled_cells(each.cloud.points.double(), each.cloud.normals, T, 0.5, faced=faced)
         for each, T in zip(surfels, made.poses, strict=True)

@@ -13,6 +13,7 @@ from problems import room_site
 
 import torchreg as tr
 from torchreg.batch import LocalEngine
+from torchreg.site.frame import SiteFrame
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.store import SiteStore
 
@@ -105,17 +106,13 @@ def test_shards_do_each_pair_once_and_together_all(paths, whole, tmp_path):
         folder = shard.folder(tmp_path / "out")
         folder.parent.mkdir(parents=True, exist_ok=True)
         with closing(LocalEngine(0)) as engine, SiteStore(folder, MANIFEST) as store:
-            described = tmp_path / "described"
+            described = tmp_path / "out" / "described"
             described.mkdir(exist_ok=True)
             counts.append(run_shard(paths, store, engine, shard, described=described))
     assert counts == [2, 2, 2]
-    with closing(LocalEngine(0)) as engine:
-        (tmp_path / "final").mkdir()
-        (tmp_path / "out" / "shards").rename(tmp_path / "final" / "shards")
-        (tmp_path / "final" / "run.json").write_text('{"seed": 0}')
-        with SiteStore(tmp_path / "final", MANIFEST) as store:
-            registered = []
-            result = run_site(paths, store, engine, described=tmp_path / "described", report=registered.append).result
+    registered = []  # by a run in a folder where there is nothing but what shards left
+    with closing(LocalEngine(0)) as engine, SiteStore(tmp_path / "out", MANIFEST) as store:
+        result = run_site(paths, store, engine, described=described, report=registered.append).result
     assert same(result, whole)
     assert max(each.total for each in registered if each.stage == "describe") == 0  # nothing was left to register
 
@@ -124,7 +121,6 @@ def test_a_shard_of_other_settings_is_refused(paths, tmp_path):
     folder = Shard(1, 2).folder(tmp_path / "out")
     folder.parent.mkdir(parents=True)
     SiteStore(folder, {"seed": 1}).__exit__(None, None, None)
-    (tmp_path / "out" / "run.json").write_text('{"seed": 0}')
     with pytest.raises(ValueError, match="seed 1 there and 0 now"):
         begun(paths, tmp_path / "out")
 
@@ -149,6 +145,20 @@ def test_a_changed_file_is_looked_at_again(site, paths, tmp_path):
     second = begun(copies, tmp_path / "out")
     assert not torch.equal(first.T_world_scan[1], second.T_world_scan[1])
     assert torch.equal(first.T_world_scan[0], second.T_world_scan[0])
+
+
+def test_a_scan_that_is_lost_on_the_way_is_left_out(paths, tmp_path):
+    copies = [tmp_path / path.name for path in paths]
+    for path, copy in zip(paths, copies, strict=True):
+        copy.write_bytes(path.read_bytes())
+
+    def lose(progress):
+        if progress.stage == "look" and progress.done == progress.total:
+            copies[3].unlink()
+
+    result = begun(copies, tmp_path / "out", report=lose, frame=lambda _: SiteFrame(level=True))
+    assert result.group.tolist() == [0, 0, 0, -1]
+    assert all(copies[3].name in pair.reason for pair in result.pairs if 3 in pair[:2])
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "2", "a/b", "1/0", "-1/4"])

@@ -27,6 +27,7 @@ class RunFolder:
         database: the name of the file of the database.
         tables: the commands that make its tables where they do not exist.
         folders: names of folders in it, made where they do not exist.
+        before: names of folders that may be there before the run begins.
 
     Raises:
         ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
@@ -35,7 +36,14 @@ class RunFolder:
     """
 
     def __init__(
-        self, folder: Path, manifest: Mapping[str, Any], *, database: str, tables: str, folders: Sequence[str] = ()
+        self,
+        folder: Path,
+        manifest: Mapping[str, Any],
+        *,
+        database: str,
+        tables: str,
+        folders: Sequence[str] = (),
+        before: Sequence[str] = (),
     ) -> None:
         self.folder = folder
         self._file = folder / database
@@ -44,11 +52,13 @@ class RunFolder:
         known = folder / "run.json"
         if folder.is_dir() and not known.exists():
             # a run that was killed at once may have left a lock or a part of run.json
-            others = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+            others = sorted(
+                path.name for path in folder.iterdir() if not path.name.startswith(".") and path.name not in before
+            )
             if others:
                 some = ", ".join(others[:3])
                 raise ValueError(f"{folder}: expected an empty folder, or one of a run like this, got one with {some}")
-        for name in (".lock", "run.json", database, "described", *folders):
+        for name in (".lock", "run.json", database, "described", *folders, *before):
             if (folder / name).is_symlink():
                 raise ValueError(f"{folder / name}: expected a file or folder of the run itself, got a link")
         folder.mkdir(exist_ok=True)

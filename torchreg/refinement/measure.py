@@ -8,7 +8,6 @@ how firmly, and all poses follow from all of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -36,24 +35,16 @@ class Measured(NamedTuple):
     residuals: Tensor  # (3,) meters: median, root mean square, 95th percentile of the surfels' distances to planes
 
 
-def facing_scanner(surfels: Surfels) -> Surfels:
-    """The surfels of one cloud with normals towards its viewpoint, which it has."""
-    cloud = surfels.cloud
-    if cloud.normals is None or cloud.viewpoint is None:
-        raise ValueError("surfels: expected normals and a viewpoint")
-    away = (cloud.normals * (cloud.viewpoint - cloud.points)).sum(dim=1, keepdim=True) < 0
-    return replace(surfels, cloud=replace(cloud, normals=torch.where(away, -cloud.normals, cloud.normals)))
-
-
 def measure(
     source: Surfels,
     target: Surfels,
     pairing: Pairing,
     T_target_source: Tensor,
     reach: Sequence[float],
-    faced: Sequence[bool],
 ) -> list[Measured | None]:
     """Measure B pairs at their present poses.
+
+    Where the scanners of both clouds are known, the two faces of one wall are no partners.
 
     Args:
         source: surfels of clouds, none of which is empty.
@@ -61,8 +52,6 @@ def measure(
         pairing: which of them make the pairs.
         T_target_source: (B, 4, 4) float64, rigid, origins included.
         reach: B numbers, meters: how far partners may be apart; two spacings of surfels at least.
-        faced: B flags: whether normals of both clouds point to their scanners, so that the two faces of one wall are
-            no partners.
 
     Returns:
         Of each pair what it asks for; ``None`` where its overlap is too small to say. A pair has the same bits alone
@@ -73,8 +62,6 @@ def measure(
     limit = torch.maximum(torch.tensor(reach, dtype=torch.float64, device=R.device), pairs.nearest)
     matches = pairs.matched(R, t, limit)
     shown = pairs.residuals(matches, R)
-    sided = torch.tensor(faced, device=R.device)[matches.blocks.pair][:, None]
-    shown = shown._replace(alike=shown.alike & (~sided | (dot(shown.turned, shown.normal) > 0)))
     spread = residual_spread(shown, matches.blocks)
     update = solve(normal_equations(shown, matches, spread), pairs.frames.target_center)
     onwards = apply_rotation(update.rotation[:, None], R.transpose(1, 2)).transpose(1, 2)

@@ -161,10 +161,7 @@ class _Growth:
         """
         sight, zero = self.sight, self.graph.zero
         assert sight is not None  # the caller knows
-        a, b = self.ends[row]
-        T = self.graph.T[row] if self.group[a] != few else inverse(self.graph.T[row])
-        fixed, moving = (a, b) if self.group[a] != few else (b, a)
-        motion = compose(compose(self.poses[fixed], T), inverse(self.poses[moving]))
+        _, _, motion = self._motion(row, few)
         moved, others = (self._witnesses(group) for group in (few, many))
         if not moved or not others:
             return 0.0
@@ -222,10 +219,7 @@ class _Growth:
     def _excess(self, row: int, index: Tensor, few: int) -> tuple[Tensor, Tensor]:
         """How far links ``index`` disagree where link ``row`` is right, and the motion (4, 4) of the group ``few``."""
         graph = self.graph
-        a, b = self.ends[row]
-        T = graph.T[row] if self.group[a] != few else inverse(graph.T[row])
-        fixed, moving = (a, b) if self.group[a] != few else (b, a)
-        motion = compose(compose(self.poses[fixed], T), inverse(self.poses[moving]))
+        fixed, moving, motion = self._motion(row, few)
         poses = self.poses.clone()
         inside = self.members[few]
         poses[inside] = compose(motion, self.poses[inside])
@@ -244,6 +238,13 @@ class _Growth:
             turns += along[:, 0]
             shifts += along[:, 1] + arm * (along[:, 0] + self.variance[row][0] / 2)
         return self.tolerance.excess(turn, shift, turns, shifts), motion
+
+    def _motion(self, row: int, few: int) -> tuple[int, int, Tensor]:
+        """The ends of link ``row`` outside and in the group ``few``, and the motion (4, 4) of that if it is right."""
+        a, b = self.ends[row]
+        T = self.graph.T[row] if self.group[a] != few else inverse(self.graph.T[row])
+        fixed, moving = (a, b) if self.group[a] != few else (b, a)
+        return fixed, moving, compose(compose(self.poses[fixed], T), inverse(self.poses[moving]))
 
     def _ends(self, index: Tensor) -> list[tuple[int, int]]:
         return [self.ends[row] for row in index.tolist()]

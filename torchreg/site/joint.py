@@ -216,10 +216,9 @@ class _Site:
 
         def run(part: list[_Task]) -> dict[_Task, _Kept]:
             sources, target = [self.surfels(task.source) for task in part], self.surfels(part[0].target)
-            faced = [self.facts[task.source].faced and self.facts[task.target].faced for task in part]
             T = torch.stack([between[task] for task in part]).to(device)
             pairing = Pairing(range(len(part)), [0] * len(part))
-            found = measure(Surfels.pack(sources), target, pairing, T, [reach] * len(part), faced)
+            found = measure(Surfels.pack(sources), target, pairing, T, [reach] * len(part))
             return {task: _Kept(one, between[task], reach) for task, one in zip(part, found, strict=True)}
 
         workers = kernel_threads() if device.type == "cpu" else 1

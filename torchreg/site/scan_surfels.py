@@ -7,7 +7,6 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from torchreg.refinement.measure import facing_scanner
 from torchreg.refinement.surfels import Surfels
 
 _POINTS_PER_SURFEL = 5  # measured on buildings of rooms, 27,000 points a scan: 3 and 8 are worse
@@ -24,7 +23,7 @@ def surfel_count(points: int) -> int:
 
 
 class ScanSurfels:
-    """Surfels of scans, normals towards known scanners; the last ones used are kept."""
+    """Surfels of scans; the last ones used are kept."""
 
     def __init__(self, surfels: Callable[[int], Surfels]) -> None:
         self._surfels, self._lock = surfels, threading.Lock()
@@ -35,8 +34,7 @@ class ScanSurfels:
         with self._lock:
             if scan not in self._kept:
                 made = self._surfels(scan)
-                made = replace(made, cloud=replace(made.cloud, colors=None))
-                self._kept[scan] = facing_scanner(made) if bool(made.cloud.viewpoint_known[0]) else made
+                self._kept[scan] = replace(made, cloud=replace(made.cloud, colors=None))
             self._kept.move_to_end(scan)
             while len(self._kept) > _KEPT:
                 self._kept.popitem(last=False)

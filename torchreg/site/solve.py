@@ -68,7 +68,7 @@ class Trusted(NamedTuple):
 
     links: list[Link]
     placement: Placement
-    doubt: float
+    doubt: float  # what was taken from the log-odds of all candidates
 
 
 def placed(
@@ -78,14 +78,14 @@ def placed(
 
     But where scanners are witnesses, they say which are wrong, and the others are not blamed.
     """
-    less = 0.0
+    less, more = 0.0, 0.0
     for _ in range(_DOUBTS):
+        less += more
         links = [link for pair in candidates for link in with_odds(pair, [one.log_odds - less for one in pair])]
         placement = place(links, count, tolerance=tolerance, sight=sight)
         more = 0.0 if witnessed(links) else doubt(links, placement)
         if more < _LITTLE:
             break
-        less += more
     return Trusted(links, placement, less)
 
 
@@ -170,12 +170,21 @@ class _Solver:
         pairs = [self.plan.pair(*pair) for pair in wanted]
         total = len(self.found) + len(pairs)
         self.pairs += pairs
-        self.keys |= {key.scan: key for pair in pairs for key in pair.sides()}
         self._tell(total)
         for part in self.work.registered(pairs, self.seed):
             self.found |= {(one.tried.source, one.tried.target): one for one in part}
             self._tell(total)
+        for pair in pairs:
+            if self.found[pair.source, pair.target].links:
+                self._know(pair.sides())
         self._spent("registering pairs", begin)
+
+    def _know(self, sides: Iterable[DescriptionKey]) -> None:
+        """Take descriptions for those of their scans; ones without colors only where there are none with them."""
+        for key in sides:
+            known = self.keys.get(key.scan)
+            if known is None or key.colored or not known.colored:
+                self.keys[key.scan] = key
 
     def _tell(self, total: int) -> None:
         failed = sum(not one.tried.success for one in self.found.values())
@@ -221,7 +230,7 @@ class _Solver:
         return framed
 
     def _key(self, scan: int) -> DescriptionKey | None:
-        """A description of a scan; ``None`` where it is in no pair."""
+        """A description of a scan; ``None`` where no pair of it has a candidate: its file may be lost by now."""
         return self.keys.get(scan)
 
     def _surfels(self, scan: int) -> Surfels:
@@ -286,7 +295,7 @@ class _Solver:
 
 
 class _Thinned(Sequence[Clouds]):
-    """The scans as they were described; without points where they are in no pair."""
+    """The scans as they were described; without points where no pair of theirs has a candidate."""
 
     def __init__(self, solver: _Solver) -> None:
         self._solver = solver

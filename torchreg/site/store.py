@@ -25,6 +25,7 @@ _TABLES = """
 CREATE TABLE IF NOT EXISTS files (name TEXT PRIMARY KEY, content TEXT NOT NULL, checksum TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pairs (name TEXT PRIMARY KEY, content TEXT NOT NULL, checksum TEXT NOT NULL);
 """
+_BEFORE = ("described", "shards")  # what shards leave in the folder of the run that takes over what they found
 _KEPT = tuple(f"SELECT * FROM {table}" for table in ("files", "pairs"))
 
 
@@ -42,7 +43,7 @@ class SiteStore(RunFolder):
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
-        super().__init__(folder, manifest, database="site.sqlite", tables=_TABLES)
+        super().__init__(folder, manifest, database="site.sqlite", tables=_TABLES, before=_BEFORE)
         self._manifest = manifest
         self._files, self._pairs = (dict(_sound(self.rows(query))) for query in _KEPT)
 
@@ -54,11 +55,8 @@ class SiteStore(RunFolder):
         """
         before = len(self._pairs)
         with SiteStore(folder, self._manifest) as other:
-            for item, content in other._files.items():
-                if item not in self._files:
-                    self._keep("files", self._files, {item: content})
-            new = {name: content for name, content in other._pairs.items() if name not in self._pairs}
-            self._keep("pairs", self._pairs, new)
+            for table, known, found in (("files", self._files, other._files), ("pairs", self._pairs, other._pairs)):
+                self._keep(table, known, {name: text for name, text in found.items() if name not in known})
         return len(self._pairs) - before
 
     def seen(self, item: FileItem) -> list[SeenScan] | None:

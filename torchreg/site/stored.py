@@ -146,10 +146,10 @@ class StoredWork:
         self._lost: dict[DescriptionKey, Outcome] = {}
 
     def sketches(self, wanted: Mapping[DescriptionKey, RegistrationOptions]) -> dict[DescriptionKey, Sketch]:
-        """As ``SiteWork``'s; a scan that cannot be read any more has an empty one.
+        """As ``SiteWork``'s.
 
         Raises:
-            OSError: a scan can no longer be described.
+            OSError: a scan can no longer be read or described.
         """
         self._describe(list(wanted))
         keys = list(wanted)
@@ -220,7 +220,7 @@ class StoredWork:
 
     def _describe(self, keys: Sequence[DescriptionKey]) -> None:
         missing = [key for key in dict.fromkeys(keys) if key not in self._there and key not in self._lost]
-        before, total = len(self._there), len(self._there) + len(missing)
+        total = len(self._there) + len(missing)
         there = [key for key in missing if os.path.exists(self._item(key).file)]
         self._there |= set(there)
         missing = [key for key in missing if key not in self._there]
@@ -232,7 +232,7 @@ class StoredWork:
             else:
                 self._there.add(missing[place])
             done = len(self._there) + sum(key in self._lost for key in missing)
-            self._report(SiteProgress("describe", max(before, done), total))
+            self._report(SiteProgress("describe", done, total))
 
     def _item(self, key: DescriptionKey) -> ScanItem:
         if key not in self._items:
