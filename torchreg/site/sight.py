@@ -33,8 +33,7 @@ _SLACK, _SLOPE = 0.5, 0.01  # spacings, and of the range, by which a range may b
 _GRAZING = 0.3  # cosine between ray and normal: planes seen flatter are not drawn out
 _CLOSE = 0.25  # slacks: surfels that are as near to where they are seen are the same place, whose colors are compared
 
-_LEAST, _MANY = 80, 400  # surfels of both that tell something: fewer say nothing, so many count in full
-_MUCH = 0.3  # of the surfels: from there on, what was seen counts in full
+_LEAST = 80  # surfels of both that tell something: fewer say nothing
 _FOR = 1.5  # log-odds at most that one kind of evidence speaks for a pose
 _THROUGH, _USUAL, _AGAINST = 1.2, 0.03, 3.0  # weight, the share that speaks neither way, log-odds at most against
 _COLOR, _OTHER, _COLORS_AGAINST = 2.5, 0.14, 4.0  # likewise, of the share whose colors differ
@@ -80,13 +79,11 @@ class Seen(NamedTuple):
         through: how many it looked through.
         there: how many it saw.
         differ: the share of those seen that have other colors; NaN where that is not known.
-        told: the share of all surfels that it looked through or saw.
     """
 
     through: int
     there: int
     differ: float
-    told: float
 
     @property
     def share(self) -> float:
@@ -150,37 +147,25 @@ def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor, *, exact: bool 
         apart = (viewer.colors[near[:, 0]] - other.colors)[same]
         apart = (apart - apart.median(dim=0).values).abs().mean(dim=1)
         differ = float((apart > _DIFFER).double().mean())
-    return Seen(*counts, differ, sum(counts) / len(ranges))
+    return Seen(*counts, differ)
 
 
-class Witnessed(NamedTuple):
-    """What both scanners saw under a pose.
+def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor, *, exact: bool = True) -> float:
+    """Log-odds for a pose (4, 4) float64, or against it, from what both scanners saw; 0 where they tell nothing.
 
-    Attributes:
-        odds: log-odds for it, or against it; 0 where they tell nothing.
-        told: in [0, 1], the larger share of the surfels of either that the other tells something of.
+    ``exact`` as in ``seen_by``.
     """
-
-    odds: float
-    told: float
-
-
-def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor, *, exact: bool = True) -> Witnessed:
-    """What both scanners saw under a pose (4, 4) float64; ``exact`` as in ``seen_by``."""
     forth = seen_by(target, source, T_target_source, exact=exact)
     views = forth, seen_by(source, target, inverse(T_target_source), exact=exact)
     if sum(view.through + view.there for view in views) < _LEAST:
-        return Witnessed(0.0, 0.0)
+        return 0.0
     odds = _clamped(_THROUGH * math.log(_USUAL / max(view.share for view in views)), _AGAINST)
     differ = [view.differ for view in views if not math.isnan(view.differ)]
     if differ:
         share = max(_FLOOR, sum(differ) / len(differ))
         odds += _clamped(_COLOR * math.log(_OTHER / share), _COLORS_AGAINST)
-    # where all is seen as it should be, a scanner may have stood twice at one place; where not, it hardly has
-    doubtful = min(1.0, max(0.0, 1.0 - odds / _FOR))
-    odds -= doubtful * _TWICE * max(0.0, 1.0 - between(source, target, T_target_source) / _STAND)
-    few = min(1.0, sum(view.through + view.there for view in views) / _MANY)
-    return Witnessed(few * odds, max(view.told for view in views))
+    odds -= _TWICE * max(0.0, 1.0 - between(source, target, T_target_source) / _STAND)
+    return odds
 
 
 def between(source: Sight, target: Sight, T_target_source: Tensor) -> float:
@@ -219,7 +204,7 @@ class SiteSight:
         return self._known[scan]
 
     def odds(self, source: int, target: int, T_target_source: Tensor) -> float:
-        """Log-odds for a pose, or against it, from what both saw; the less, the less of both that is.
+        """Log-odds for a pose, or against it, from what both saw.
 
         Of poses that are within a part of a spacing of each other, those of the first that was asked.
         """
@@ -233,8 +218,7 @@ class SiteSight:
         turn = T_target_source[:3, :3] * (max(one.reach, other.reach) / fine)
         key = (source, target, tuple(torch.cat([shift, turn.flatten()]).mul_(2.0).round_().tolist()))
         if key not in self._odds:
-            seen = witnessed_by(one, other, T_target_source, exact=False)
-            self._odds[key] = min(1.0, seen.told / _MUCH) * seen.odds
+            self._odds[key] = witnessed_by(one, other, T_target_source, exact=False)
         return self._odds[key]
 
 

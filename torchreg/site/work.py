@@ -95,7 +95,7 @@ def _ask_scanners(pairs: Sequence[SitePair], links: Sequence[list[Link]], sides:
             continue
         for rank, link in enumerate(own):
             if is_worth_a_look(link):
-                own[rank] = replace(link, sight=witnessed_by(source, target, link.T_target_source).odds)
+                own[rank] = replace(link, sight=witnessed_by(source, target, link.T_target_source))
 
 
 def _refined(pairs: Sequence[SitePair], sides: Sides, T_target_source: Tensor) -> Refined | None:
