@@ -62,6 +62,19 @@ def test_scans_of_a_room_become_poses_a_cloud_and_a_page(run, rooms, tmp_path):
     assert "b.npz" in text
 
 
+def test_shards_find_the_pairs_that_the_last_run_takes_over(run, rooms, tmp_path):
+    paths, _ = rooms
+    words = ["site", *paths, "--workers", "0", "--out"]
+    for shard in ("1/2", "2/2"):
+        result = run(*words, tmp_path / "out", "--shard", shard)
+        assert result.exit_code == 0, result.output
+        assert "pairs are registered" in result.stderr
+    assert run(*words, tmp_path / "out").exit_code == 0
+    assert run(*words, tmp_path / "whole").exit_code == 0
+    for name in ("poses.csv", "site.json"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
 def test_files_that_fail_are_named_and_the_rest_goes_on(run, rooms, tmp_path):
     paths, _ = rooms
     broken, other = tmp_path / "broken.ply", tmp_path / "other.ply"

@@ -1,5 +1,6 @@
 """Sites of simulated scans in one frame, whatever stands among them."""
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -113,6 +114,13 @@ def test_progress_counts_every_step(site):
     last = {each.stage: each for each in seen}
     assert [last[name].done for name in ("describe", "register", "place")] == [3, 3, 3]
     assert all(each.done == each.total for each in last.values())
+
+
+def test_no_time_is_counted_twice(site):
+    begin = time.perf_counter()
+    seconds = dict(tr.register_site(site.scans[:2], effort="fast").seconds)
+    assert sum(seconds.values()) <= time.perf_counter() - begin
+    assert {"looking", "registering pairs", "placing"} < set(seconds)
 
 
 def test_arguments_are_checked(site):

@@ -107,7 +107,7 @@ def check_site_outputs(outputs: SiteOutputs, scans: Sequence[Path], out: Path) -
     check_outputs(files, scans)
 
 
-class _SiteWork(NamedTuple):
+class _Written(NamedTuple):
     outputs: SiteOutputs
     result: SiteResult
     found: FoundScans
@@ -119,7 +119,7 @@ def write_site_outputs(
     outputs: SiteOutputs, result: SiteResult, found: FoundScans, reading: Reading, before: Sequence[Path]
 ) -> list[Path]:
     """Write what is asked for beside the files that were written ``before``; returns files and folders."""
-    work = _SiteWork(outputs, result, found, reading, before)
+    work = _Written(outputs, result, found, reading, before)
     written = []
     for path, write in (
         (outputs.merged, _write_merged),
@@ -137,7 +137,7 @@ def write_site_outputs(
     return written
 
 
-def _write_merged(path: Path, work: _SiteWork) -> None:
+def _write_merged(path: Path, work: _Written) -> None:
     with step(f"writing {path.name}"):
         merged = merged_cloud(FileScans(work.found.sources), work.result, spacing=work.outputs.spacing)
         fields = PointFields(scan=merged.scan)
@@ -146,19 +146,19 @@ def _write_merged(path: Path, work: _SiteWork) -> None:
         complain(f"{path}: {loss}")
 
 
-def _write_redwood(path: Path, work: _SiteWork) -> None:
+def _write_redwood(path: Path, work: _Written) -> None:
     first = (work.result.group == 0).nonzero()[:, 0]
     write_redwood_trajectory(path, first.tolist(), work.result.T_world_scan[first])
 
 
-def _write_placed(path: Path, work: _SiteWork) -> None:
+def _write_placed(path: Path, work: _Written) -> None:
     outputs = work.outputs
     inputs = [InputScan(Path(path), argument) for path, argument in work.found.files]
     others = [one for one in (outputs.merged, outputs.redwood, outputs.report) if one is not None]
     write_placed(path, _suffix(outputs), inputs, work.result, work.reading, [*others, *work.before])
 
 
-def _write_report(path: Path, work: _SiteWork) -> None:
+def _write_report(path: Path, work: _Written) -> None:
     from torchreg.report.page.site_report import write_site_report
 
     with step(f"writing {path.name}"):

@@ -113,7 +113,7 @@ class _Task(NamedTuple):
     source: int
 
 
-class _Kept(NamedTuple):
+class _Demand(NamedTuple):
     """What a pair was found to ask for, and where."""
 
     measured: Measured | None
@@ -145,7 +145,7 @@ class _Site:
     def refined(self, held_back: set[int]) -> tuple[PlacedPoses, int]:
         """The poses after all rounds, without the surfaces of scans that are held back; and the number of pairs."""
         tasks = self._tasks(held_back)
-        kept: dict[_Task, _Kept] = {}
+        kept: dict[_Task, _Demand] = {}
         T = self.placement.T_world_scan.clone()
         nearest = 2 * max((each.spacing for each in self.facts.values()), default=0.0)
         reach, share, last, fine = self.reach, 1.0, torch.inf, 0
@@ -190,7 +190,7 @@ class _Site:
         return filled_cells(cloud.points.double() + cloud.origin, normals, T, edge, faced=faced)
 
     def _measure(
-        self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Kept], *, weighed: bool
+        self, tasks: Sequence[_Task], T: Tensor, reach: float, kept: dict[_Task, _Demand], *, weighed: bool
     ) -> None:
         """Measure the pairs whose poses have changed since they were measured.
 
@@ -211,26 +211,26 @@ class _Site:
 
     def _work(
         self, parts: list[list[_Task]], between: Mapping[_Task, Tensor], reach: float
-    ) -> list[dict[_Task, _Kept]]:
+    ) -> list[dict[_Task, _Demand]]:
         device = self.surfels(parts[0][0].target).cloud.device
 
-        def run(part: list[_Task]) -> dict[_Task, _Kept]:
+        def run(part: list[_Task]) -> dict[_Task, _Demand]:
             sources, target = [self.surfels(task.source) for task in part], self.surfels(part[0].target)
             T = torch.stack([between[task] for task in part]).to(device)
             pairing = Pairing(range(len(part)), [0] * len(part))
             found = measure(Surfels.pack(sources), target, pairing, T, [reach] * len(part))
-            return {task: _Kept(one, between[task], reach) for task, one in zip(part, found, strict=True)}
+            return {task: _Demand(one, between[task], reach) for task, one in zip(part, found, strict=True)}
 
         workers = kernel_threads() if device.type == "cpu" else 1
         return shared_out(run, parts, workers) if workers > 1 else list(map(run, parts))
 
-    def _changed(self, task: _Task, T: Tensor, reach: float, kept: _Kept | None) -> bool:
+    def _changed(self, task: _Task, T: Tensor, reach: float, kept: _Demand | None) -> bool:
         if kept is None or kept.reach != reach:
             return True
         size = self.facts[task.source].size
         return _motion(kept.T_target_source, T, size) > 0.2 * _STILL
 
-    def _settled(self, T: Tensor, kept: Mapping[_Task, _Kept], share: float) -> PlacedPoses:
+    def _settled(self, T: Tensor, kept: Mapping[_Task, _Demand], share: float) -> PlacedPoses:
         """The poses that all pairs agree on, links where surfaces say nothing; reached from ``T`` by a share."""
         ties = []
         for key, link in self.used.items():
@@ -299,7 +299,7 @@ class _Site:
         )
 
 
-def _as_weighed(one: _Kept, before: _Kept) -> _Kept:
+def _as_weighed(one: _Demand, before: _Demand) -> _Demand:
     """The pose that a pair asks for now, with the weight that it had before."""
     if one.measured is None or before.measured is None:
         return one._replace(measured=before.measured)

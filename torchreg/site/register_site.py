@@ -69,10 +69,11 @@ def register_site(
     chosen = effort_of(options, effort)
     with undisturbed(clouds[0].points):
         known = site_scans([look_at(cloud, scaled=options is None) for cloud in clouds])
+        looking = time.perf_counter() - begin
         plan = PairPlan(known, options, chosen)
         work = WorkInMemory(clouds, max_bytes=budget(max_bytes, clouds[0].device), report=report)
         result = solved(known, plan, work, frame=frame or SiteFrame(), seed=seed, report=report)
-    return replace(result, seconds=(("looking", time.perf_counter() - begin), *result.seconds))
+    return replace(result, seconds=(("looking", looking), *result.seconds))
 
 
 def effort_of(options: RegistrationOptions | None, effort: str | None) -> str | None:
