@@ -6,7 +6,6 @@ less trust where links contradict each other       ``doubt``
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -74,25 +73,16 @@ class Trusted(NamedTuple):
 def placed(
     candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, sight: SiteSight | None = None
 ) -> Trusted:
-    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less.
-
-    But where scanners are witnesses, they say which are wrong, and the others are not blamed.
-    """
+    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less."""
     less, more = 0.0, 0.0
     for _ in range(_DOUBTS):
         less += more
         links = [link for pair in candidates for link in with_odds(pair, [one.log_odds - less for one in pair])]
         placement = place(links, count, tolerance=tolerance, sight=sight)
-        more = 0.0 if witnessed(links) else doubt(links, placement)
+        more = doubt(links, placement)
         if more < _LITTLE:
             break
     return Trusted(links, placement, less)
-
-
-def witnessed(links: Sequence[Link]) -> bool:
-    """Whether scanners of known places were asked about most links that may be right."""
-    likely = [link for link in links if link.log_odds > 0]
-    return 2 * sum(not math.isnan(link.sight) for link in likely) > len(likely)
 
 
 @dataclass
