@@ -62,6 +62,28 @@ def test_scans_of_a_room_become_poses_a_cloud_and_a_page(run, rooms, tmp_path):
     assert "b.npz" in text
 
 
+def test_shards_and_a_last_run_find_what_one_run_does(run, rooms, tmp_path):
+    paths, _ = rooms
+    assert run("site", *paths, "--out", tmp_path / "one", "--workers", "0").exit_code == 0
+    command = ("site", *paths, "--out", tmp_path / "out", "--workers", "0")
+    for shard in ("2/2", "1/2"):
+        result = run(*command, "--shard", shard)
+        assert result.exit_code == 0, result.output
+    result = run(*command)
+    assert result.exit_code == 0, result.output
+    for name in ("poses.csv", "site.json"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+
+
+def test_a_shard_begins_nothing_in_a_folder_of_something_else(run, rooms, tmp_path):
+    paths, _ = rooms
+    (tmp_path / "notes.txt").write_text("mine")
+    result = run("site", *paths, "--out", tmp_path, "--shard", "1/2")
+    assert result.exit_code == 2
+    assert "got one with notes.txt" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_files_that_fail_are_named_and_the_rest_goes_on(run, rooms, tmp_path):
     paths, _ = rooms
     broken, other = tmp_path / "broken.ply", tmp_path / "other.ply"

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from torchreg.batch.described_file import computing_versions
+from torchreg.batch.run_folder import expect_run_folder
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
@@ -31,7 +32,7 @@ from torchreg.site.pairs import ALL_SCANS
 from torchreg.site.result import SiteResult
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.site_json import site_to_dict
-from torchreg.site.store import SiteStore
+from torchreg.site.store import OF_SHARDS, SiteStore
 from torchreg.verification import WORK
 
 ScanPaths = Annotated[
@@ -151,6 +152,7 @@ def site(
         "seed": seed,
         "reading": asdict(reading),
     }
+    expect_run_folder(out, OF_SHARDS)
     folder = out if shard is None else shard.folder(out)
     folder.parent.mkdir(exist_ok=True, parents=shard is not None)
     with closing(work.start()) as engine, SiteStore(folder, manifest) as store, batch_progress() as report:
