@@ -84,6 +84,37 @@ def test_a_shard_begins_nothing_in_a_folder_of_something_else(run, rooms, tmp_pa
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
+def test_residuals_of_an_earlier_run_do_not_stay_but_other_files_do(run, rooms, tmp_path):
+    paths, truth = rooms
+    lines = ["name,scan,x,y,z,X,Y,Z"]
+    for here in ([1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.5]):
+        there = truth[0, :3, :3] @ torch.tensor(here, dtype=torch.float64) + truth[0, :3, 3]
+        lines.append(",".join(["P", paths[0].name, *map(repr, [*here, *there.tolist()])]))
+    (tmp_path / "points.csv").write_text("\n".join(lines))
+    command = ("site", *paths, "--out", tmp_path / "out", "--workers", "0")
+    kept = tmp_path / "out" / "control.csv"
+    assert run(*command, "--control", tmp_path / "points.csv").exit_code == 0
+    assert kept.exists()
+    assert run(*command).exit_code == 0
+    assert not kept.exists()
+    kept.write_text(lines[0])
+    assert run(*command).exit_code == 0
+    assert kept.read_text() == lines[0]
+
+
+def test_a_damaged_database_is_named_with_the_way_out(run, rooms, tmp_path):
+    paths, _ = rooms
+    command = ("site", *paths, "--out", tmp_path / "out", "--workers", "0")
+    assert run(*command).exit_code == 0
+    database = tmp_path / "out" / "site.sqlite"
+    database.write_bytes(b"no database" * 1000)
+    result = run(*command)
+    assert result.exit_code == 2
+    assert "a damaged file: without it, the run begins anew" in " ".join(result.stderr.split())
+    database.unlink()
+    assert run(*command).exit_code == 0
+
+
 def test_files_that_fail_are_named_and_the_rest_goes_on(run, rooms, tmp_path):
     paths, _ = rooms
     broken, other = tmp_path / "broken.ply", tmp_path / "other.ply"

@@ -115,7 +115,9 @@ class RunFolder:
         try:
             yield
         except sqlite3.DatabaseError as error:
-            raise OSError(f"{self._file}: {error}") from None
+            damaged = type(error) is sqlite3.DatabaseError  # not one of its kinds, such as a full disk
+            advice = " (a damaged file: without it, the run begins anew)" if damaged else ""
+            raise OSError(f"{self._file}: {error}{advice}") from None
 
 
 def expect_run_folder(folder: Path, before: Sequence[str] = ()) -> None:

@@ -17,7 +17,7 @@ from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
-from torchreg.cli.site_frame import HowToFrame, points_in_words, write_control_csv
+from torchreg.cli.site_frame import HowToFrame, points_in_words, remove_control_csv, write_control_csv
 from torchreg.cli.site_outputs import SiteOutputs, check_site_outputs, write_site_outputs
 from torchreg.cli.wording import by_options
 from torchreg.cli.work import Work
@@ -192,6 +192,8 @@ def site(
     if result.control:
         write_control_csv(out / "control.csv", result.control, names)
         written.append(out / "control.csv")
+    else:
+        remove_control_csv(out / "control.csv")
     _show(result, names)
     for line in (*points_in_words(result.control, names), *result.remarks):
         complain(legible(line))
