@@ -62,17 +62,57 @@ def test_scans_of_a_room_become_poses_a_cloud_and_a_page(run, rooms, tmp_path):
     assert "b.npz" in text
 
 
-def test_shards_find_the_pairs_that_the_last_run_takes_over(run, rooms, tmp_path):
+def test_shards_and_a_last_run_find_what_one_run_does(run, rooms, tmp_path):
     paths, _ = rooms
-    words = ["site", *paths, "--workers", "0", "--out"]
-    for shard in ("1/2", "2/2"):
-        result = run(*words, tmp_path / "out", "--shard", shard)
+    assert run("site", *paths, "--out", tmp_path / "one", "--workers", "0").exit_code == 0
+    command = ("site", *paths, "--out", tmp_path / "out", "--workers", "0")
+    for shard in ("2/2", "1/2"):
+        result = run(*command, "--shard", shard)
         assert result.exit_code == 0, result.output
-        assert "pairs are registered" in result.stderr
-    assert run(*words, tmp_path / "out").exit_code == 0
-    assert run(*words, tmp_path / "whole").exit_code == 0
+    result = run(*command)
+    assert result.exit_code == 0, result.output
     for name in ("poses.csv", "site.json"):
-        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+
+
+def test_a_shard_begins_nothing_in_a_folder_of_something_else(run, rooms, tmp_path):
+    paths, _ = rooms
+    (tmp_path / "notes.txt").write_text("mine")
+    result = run("site", *paths, "--out", tmp_path, "--shard", "1/2")
+    assert result.exit_code == 2
+    assert "got one with notes.txt" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_residuals_of_an_earlier_run_do_not_stay_but_other_files_do(run, rooms, tmp_path):
+    paths, truth = rooms
+    lines = ["name,scan,x,y,z,X,Y,Z"]
+    for here in ([1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.5]):
+        there = truth[0, :3, :3] @ torch.tensor(here, dtype=torch.float64) + truth[0, :3, 3]
+        lines.append(",".join(["P", paths[0].name, *map(repr, [*here, *there.tolist()])]))
+    (tmp_path / "points.csv").write_text("\n".join(lines))
+    command = ("site", *paths, "--out", tmp_path / "out", "--workers", "0")
+    kept = tmp_path / "out" / "control.csv"
+    assert run(*command, "--control", tmp_path / "points.csv").exit_code == 0
+    assert kept.exists()
+    assert run(*command).exit_code == 0
+    assert not kept.exists()
+    kept.write_text(lines[0])
+    assert run(*command).exit_code == 0
+    assert kept.read_text() == lines[0]
+
+
+def test_a_damaged_database_is_named_with_the_way_out(run, rooms, tmp_path):
+    paths, _ = rooms
+    command = ("site", *paths, "--out", tmp_path / "out", "--workers", "0")
+    assert run(*command).exit_code == 0
+    database = tmp_path / "out" / "site.sqlite"
+    database.write_bytes(b"no database" * 1000)
+    result = run(*command)
+    assert result.exit_code == 2
+    assert "a damaged file: without it, the run begins anew" in " ".join(result.stderr.split())
+    database.unlink()
+    assert run(*command).exit_code == 0
 
 
 def test_files_that_fail_are_named_and_the_rest_goes_on(run, rooms, tmp_path):

@@ -27,7 +27,7 @@ class RunFolder:
         database: the name of the file of the database.
         tables: the commands that make its tables where they do not exist.
         folders: names of folders in it, made where they do not exist.
-        before: names of folders that may be there before the run begins.
+        before: names of what may be in it before the run begins.
 
     Raises:
         ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
@@ -48,16 +48,8 @@ class RunFolder:
         self.folder = folder
         self._file = folder / database
         expect(folder.absolute().parent.is_dir(), str(folder), "a folder in one that exists", "none there")
-        expect(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
+        expect_run_folder(folder, before)
         known = folder / "run.json"
-        if folder.is_dir() and not known.exists():
-            # a run that was killed at once may have left a lock or a part of run.json
-            others = sorted(
-                path.name for path in folder.iterdir() if not path.name.startswith(".") and path.name not in before
-            )
-            if others:
-                some = ", ".join(others[:3])
-                raise ValueError(f"{folder}: expected an empty folder, or one of a run like this, got one with {some}")
         for name in (".lock", "run.json", database, "described", *folders, *before):
             if (folder / name).is_symlink():
                 raise ValueError(f"{folder / name}: expected a file or folder of the run itself, got a link")
@@ -75,7 +67,7 @@ class RunFolder:
 
     def _begin(self, known: Path, manifest: Mapping[str, Any], tables: str, folders: Sequence[str]) -> None:
         if known.exists():
-            _expect_same_run(known, manifest)
+            expect_same_run(known, manifest)
         else:
             write_text(known, json.dumps(manifest, indent=2) + "\n", through_link=False)
         inside = [self.folder / name for name in folders]
@@ -123,7 +115,25 @@ class RunFolder:
         try:
             yield
         except sqlite3.DatabaseError as error:
-            raise OSError(f"{self._file}: {error}") from None
+            damaged = type(error) is sqlite3.DatabaseError  # not one of its kinds, such as a full disk
+            advice = " (a damaged file: without it, the run begins anew)" if damaged else ""
+            raise OSError(f"{self._file}: {error}{advice}") from None
+
+
+def expect_run_folder(folder: Path, before: Sequence[str] = ()) -> None:
+    """Refuse a folder in which no run began, unless it is empty or has nothing but names of ``before``.
+
+    Raises:
+        ValueError: it is a file, or holds something else.
+    """
+    expect(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
+    if folder.is_dir() and not (folder / "run.json").exists():
+        # a run that was killed at once may have left a lock or a part of run.json
+        names = (path.name for path in folder.iterdir())
+        others = sorted(name for name in names if not name.startswith(".") and name not in before)
+        if others:
+            some = ", ".join(others[:3])
+            raise ValueError(f"{folder}: expected an empty folder, or one of a run like this, got one with {some}")
 
 
 def _text_or_bytes(content: bytes) -> str | bytes:
@@ -144,7 +154,7 @@ def _in_words(value: Any) -> str:  # noqa: ANN401
     return "not given" if value is None else str(value)
 
 
-def _expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
+def expect_same_run(known: Path, manifest: Mapping[str, Any]) -> None:
     """Refuse a run of other settings than the one that began a folder; the message names what differs."""
     try:
         then = json.loads(known.read_text())

@@ -11,12 +11,13 @@ from typing import Annotated
 import typer
 
 from torchreg.batch.described_file import computing_versions
+from torchreg.batch.run_folder import expect_run_folder
 from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded, option_of
 from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
-from torchreg.cli.site_frame import HowToFrame, points_in_words, write_control_csv
+from torchreg.cli.site_frame import HowToFrame, points_in_words, remove_control_csv, write_control_csv
 from torchreg.cli.site_outputs import SiteOutputs, check_site_outputs, write_site_outputs
 from torchreg.cli.wording import by_options
 from torchreg.cli.work import Work
@@ -31,7 +32,7 @@ from torchreg.site.pairs import FEW_SCANS
 from torchreg.site.result import SiteResult
 from torchreg.site.run import Shard, SiteSettings, run_shard, run_site
 from torchreg.site.site_json import site_to_dict
-from torchreg.site.store import SiteStore
+from torchreg.site.store import OF_SHARDS, SiteStore
 from torchreg.verification import WORK
 
 ScanPaths = Annotated[
@@ -151,6 +152,7 @@ def site(
         "seed": seed,
         "reading": asdict(reading),
     }
+    expect_run_folder(out, OF_SHARDS)
     folder = out if shard is None else shard.folder(out)
     folder.parent.mkdir(exist_ok=True, parents=shard is not None)
     with closing(work.start()) as engine, SiteStore(folder, manifest) as store, batch_progress() as report:
@@ -190,6 +192,8 @@ def site(
     if result.control:
         write_control_csv(out / "control.csv", result.control, names)
         written.append(out / "control.csv")
+    else:
+        remove_control_csv(out / "control.csv")
     _show(result, names)
     for line in (*points_in_words(result.control, names), *result.remarks):
         complain(legible(line))

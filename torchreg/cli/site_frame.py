@@ -25,6 +25,7 @@ OF_FILES = "files"
 """The word for the poses that files hold, which are applied when they are read."""
 
 _PANEL = "Frame"
+_RESIDUALS = ("name", "scan", "X", "Y", "Z", "meters", "suspicious")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,12 +134,21 @@ def write_control_csv(path: Path, points: Sequence[JudgedPoint], names: Sequence
     """Write control points with their residuals in meters, empty where there is none, in full or not at all."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["name", "scan", "X", "Y", "Z", "meters", "suspicious"])
+    writer.writerow(_RESIDUALS)
     for point, meters, suspicious in points:
         residual = "" if math.isnan(meters) else repr(meters)
         where = map(repr, point.world)
         writer.writerow([cell_of_text(point.name), cell_of_text(names[point.scan]), *where, residual, int(suspicious)])
     write_text(path, text.getvalue(), through_link=False)
+
+
+def remove_control_csv(path: Path) -> None:
+    """Remove the residuals of an earlier run, which say nothing of this one; another file of this name stays."""
+    if path.is_file() and not path.is_symlink():
+        with path.open("rb") as file:
+            ours = file.readline(1000).rstrip() == ",".join(_RESIDUALS).encode()
+        if ours:
+            path.unlink()
 
 
 def points_in_words(points: Sequence[JudgedPoint], names: Sequence[str]) -> list[str]:

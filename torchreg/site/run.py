@@ -19,7 +19,7 @@ from torchreg.site.pairs import PairPlan, Report
 from torchreg.site.register_site import effort_of
 from torchreg.site.result import SiteResult
 from torchreg.site.solve import registered_share, solved
-from torchreg.site.store import SiteStore
+from torchreg.site.store import SiteStore, shard_folders
 from torchreg.site.stored import FoundScans, StoredWork, scans_in_files
 
 
@@ -111,8 +111,7 @@ def run_site(
         OSError: nothing can be written any more; what was kept before stays.
         ValueError: options that do not fit, or a shard with other settings.
     """
-    shards = store.folder / "shards"
-    for folder in sorted(shards.iterdir()) if shards.is_dir() else ():
+    for folder in shard_folders(store.folder):
         store.adopt(folder)
     plan, work, found = _begun(paths, store, engine, described, settings, max_bytes, report)
     return SiteRun(found, solved(found.scans, plan, work, frame=frame(found), seed=settings.seed, report=report))

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from torchreg.batch.run_folder import RunFolder
+from torchreg.batch.run_folder import RunFolder, expect_same_run
 from torchreg.batch.survey import stamp_of
 from torchreg.io.result_json import plain_data
 from torchreg.site.files import FileItem, SeenScan
@@ -25,8 +25,10 @@ _TABLES = """
 CREATE TABLE IF NOT EXISTS files (name TEXT PRIMARY KEY, content TEXT NOT NULL, checksum TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pairs (name TEXT PRIMARY KEY, content TEXT NOT NULL, checksum TEXT NOT NULL);
 """
-_BEFORE = ("described", "shards")  # what shards leave in the folder of the run that takes over what they found
 _KEPT = tuple(f"SELECT * FROM {table}" for table in ("files", "pairs"))
+
+OF_SHARDS = ("described", "shards")
+"""What shards make in the folder of a site before the run that places the scans begins there."""
 
 
 class SiteStore(RunFolder):
@@ -37,13 +39,15 @@ class SiteStore(RunFolder):
         manifest: the settings of the run that its results depend on, plain values by name.
 
     Raises:
-        ValueError: the folder belongs to a run of other settings or to something else, or another process is at work
-            in it.
+        ValueError: the folder or a shard in it belongs to a run of other settings or to something else, or another
+            process is at work in it.
         OSError: it cannot be written.
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
-        super().__init__(folder, manifest, database="site.sqlite", tables=_TABLES, before=_BEFORE)
+        for shard in shard_folders(folder):  # before a run of settings that do not fit them begins the folder
+            expect_same_run(shard / "run.json", manifest)
+        super().__init__(folder, manifest, database="site.sqlite", tables=_TABLES, before=OF_SHARDS)
         self._manifest = manifest
         self._files, self._pairs = (dict(_sound(self.rows(query))) for query in _KEPT)
 
@@ -84,6 +88,11 @@ class SiteStore(RunFolder):
         rows = [(name, text, _checksum(name, text)) for name, text in texts.items()]
         self.commit(f"INSERT OR REPLACE INTO {table} VALUES (?, ?, ?)", *rows)
         known.update(texts)
+
+
+def shard_folders(folder: Path) -> list[Path]:
+    """The folders of the shards that began in the folder of a site."""
+    return sorted(known.parent for known in folder.glob("shards/*/run.json"))
 
 
 def _sound(rows: Iterable[Any]) -> Iterable[tuple[str, str]]:
