@@ -188,3 +188,25 @@ def test_killed_twenty_times_and_resumed_the_files_have_the_same_bytes(paths, tm
     assert start(tmp_path / "broken").wait() == 0
     for name in ("poses.csv", "site.json"):
         assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_a_large_site_has_the_same_bits_in_memory_on_disk_and_by_shards(paths, tmp_path, monkeypatch):
+    from torchreg.site import pairs, rounds
+
+    monkeypatch.setattr(pairs, "FEW_SCANS", 2)
+    monkeypatch.setattr(pairs, "ALL_SCANS", 3)
+    monkeypatch.setattr(rounds, "ALL_SCANS", 3)
+    monkeypatch.setattr(rounds, "_FIRST", 1)
+    in_memory = tr.register_site([tr.read_cloud(path) for path in paths])
+    assert in_memory.group.tolist() == [0, 0, 0, 0]
+    assert 3 <= len(in_memory.pairs) < 6  # not all pairs, and as many as hold four scans
+    seen = []
+    assert same(begun(paths, tmp_path / "disk", report=seen.append), in_memory)
+    assert any(each.stage == "compare" for each in seen)
+    for number in (1, 2):
+        shard = Shard(number, 2)
+        shard.folder(tmp_path / "out").parent.mkdir(parents=True, exist_ok=True)
+        with closing(LocalEngine(0)) as engine, SiteStore(shard.folder(tmp_path / "out"), MANIFEST) as store:
+            (tmp_path / "out" / "described").mkdir(exist_ok=True)
+            assert run_shard(paths, store, engine, shard, described=tmp_path / "out" / "described") > 0
+    assert same(begun(paths, tmp_path / "out"), in_memory)
