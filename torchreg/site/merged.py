@@ -73,7 +73,7 @@ def merged_cloud(scans: Sequence[Clouds], site: SiteResult, *, spacing: float, g
     )
 
 
-class _Kept(NamedTuple):
+class _Selected(NamedTuple):
     points: NDArray[Any]  # (K, 3) float64
     colors: NDArray[Any] | None  # (K, 3) float64
     scan: NDArray[Any]  # (K,)
@@ -121,14 +121,14 @@ class _Cubes:
         if self._pending_rows >= max(len(self._sums.key) // 2, _MERGE_ROWS):
             self._merge()
 
-    def take(self) -> _Kept:
+    def take(self) -> _Selected:
         """The means of all cubes."""
         self._merge()
         table = self._sums.table
         points = table[:, 1:4] / table[:, :1] + (0.0 if self._anchor is None else self._anchor)
         painted = table[:, 4:5] > 0
         colors = np.where(painted, table[:, 5:] / np.maximum(table[:, 4:5], 1.0), _GRAY) if painted.any() else None
-        return _Kept(points, colors, self._sums.scan)
+        return _Selected(points, colors, self._sums.scan)
 
     def _merge(self) -> None:
         parts = [self._sums, *self._pending]
