@@ -114,7 +114,11 @@ def test_a_signal_that_ends_a_batch_leaves_no_process_and_nothing_shared(tmp_pat
     import psutil
 
     project, out = make_project(tmp_path, clouds=10, points=1000), tmp_path / "out"
-    process = start(project.table, "--out", out, "--workers", 2, "--engine", engine)
+    before = signal.signal(ending, signal.SIG_DFL)  # under nohup it would be ignored, and so by the batch
+    try:
+        process = start(project.table, "--out", out, "--workers", 2, "--engine", engine)
+    finally:
+        signal.signal(ending, before)
     family = [psutil.Process(process.pid)]
     while finished_pairs(out) < 1 and process.poll() is None:
         time.sleep(0.01)

@@ -30,7 +30,7 @@ def test_every_bit_comes_back(tmp_path):
     assert rows[1][1:] == [""] * (len(COLUMNS) - 1)
 
 
-@pytest.mark.parametrize("name", ["=cmd", "+1", "-x.ply", "@a"])
+@pytest.mark.parametrize("name", ["=cmd", "+1+1", "-x.ply", "@a"])
 def test_a_name_that_is_a_formula_is_none_in_the_table(tmp_path, name):
     write_poses_csv(tmp_path / "poses.csv", [name], torch.tensor([0]), torch.eye(4).double()[None])
     assert rows_of(tmp_path / "poses.csv")[1][0] == f"'{name}"
