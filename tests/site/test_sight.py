@@ -6,7 +6,7 @@ from problems import room_site
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of
 from torchreg.refinement.surfels import surfels_of
-from torchreg.site.sight import SiteSight, between, seen_by, sight_of, witnessed_by
+from torchreg.site.sight import SiteSight, between, learned_stations, seen_by, sight_of, witnessed_by
 
 
 def sights(count=2):
@@ -53,14 +53,18 @@ def test_other_colors_speak_against_a_pose():
     assert witnessed_by(b._replace(colors=None), a, pose) <= right
 
 
-def test_nobody_sets_up_a_scanner_twice_at_one_place():
+def test_scanners_at_one_place_are_doubted_as_the_site_teaches():
     (a, b), T = sights()
     same, apart = torch.eye(4, dtype=torch.float64), compose(inverse(T[0]), T[1])
     assert between(a, a, same) == 0
     assert between(b, a, apart) == between(a, b, inverse(apart)) > 0
-    painted = a._replace(colors=a.colors[torch.randperm(len(a.points), generator=torch.Generator().manual_seed(0))])
-    assert witnessed_by(a, a, same) < 0.5  # though all was seen as it is
-    assert witnessed_by(a, painted, same) < witnessed_by(b, painted, apart)  # which stand apart
+    site = SiteSight(lambda scan: (a, b)[scan], 2)
+    before = site.odds(1, 0, apart)
+    site.stations = learned_stations([1.5] * 20)
+    assert site.odds(1, 0, apart) < before - 1.0  # a survey whose stations stand far apart
+    site.stations = learned_stations([0.01] * 20)
+    assert site.odds(1, 0, apart) >= before  # a camera that was carried about
+    assert learned_stations([1.5] * 9) is None
 
 
 def test_a_hidden_scan_says_nothing():

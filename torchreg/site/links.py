@@ -42,6 +42,7 @@ class Link:
         residual: meters, between the surfaces of the overlap; NaN likewise.
         sight: log-odds from what the scanners saw under this pose (``sight``), which are part of ``log_odds``; NaN
             where a scanner's place is not known.
+        apart: how far apart the scanners would stand under this pose, as a multiple of their ranges; NaN likewise.
         rank: the place among the candidates of its pair, 0 for the best.
         reason: why the pair was refused when it was registered; empty where it was not.
 
@@ -59,6 +60,7 @@ class Link:
     overlap: float = math.nan
     residual: float = math.nan
     sight: float = math.nan
+    apart: float = math.nan
     rank: int = 0
     reason: str = ""
 

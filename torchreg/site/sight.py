@@ -5,7 +5,7 @@ far better than two rooms do that share a door. What tells them apart is the lit
 of the one scan stands, the scanner of the other saw the wall behind it; carpets and posters have other colors; and the
 two scanners would have stood at the same place, where nobody sets up a scanner twice. A surface that is hidden says
 nothing; one that is seen where it should be, in its color, speaks for the pose, and one that was looked through against
-it.
+it. How far apart the scanners of a site stand is learned from the links that can be believed.
 
 Only scanners whose places are known are asked. The weights were chosen on three simulated buildings and, for what was
 looked through, on the pairs of real sites from lidars and depth cameras, where right poses were looked through by 1 %
@@ -15,7 +15,7 @@ in the median and wrong ones by 18 %.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -33,6 +33,7 @@ _SLACK, _SLOPE = 0.5, 0.01  # spacings, and of the range, by which a range may b
 _GRAZING = 0.3  # cosine between ray and normal: planes seen flatter are not drawn out
 _CLOSE = 0.25  # slacks: surfels that are as near to where they are seen are the same place, whose colors are compared
 
+_BELIEVED, _CLOSEST, _NEARER, _TOGETHER = 10, 0.2, 0.8, 0.02  # links; of their distances; nearer than that; at least
 _LEAST = 80  # surfels of both that tell something: fewer say nothing
 _FOR = 1.5  # log-odds at most that one kind of evidence speaks for a pose
 _THROUGH, _USUAL, _AGAINST = 1.2, 0.03, 3.0  # weight, the share that speaks neither way, log-odds at most against
@@ -40,7 +41,6 @@ _COLOR, _OTHER, _COLORS_AGAINST = 2.5, 0.14, 4.0  # likewise, of the share whose
 _DIFFER = 0.06  # mean difference of channels, besides what all surfels differ by
 _LEAST_COLORED = 20  # surfels seen
 _FLOOR = 0.03  # of the share whose colors differ
-_TWICE, _STAND = 3.0, 0.2  # log-odds against scanners at one place; of their ranges, how far apart they are two
 
 NEAR = 3.0
 """Ranges apart, from which on scanners hardly see the same."""
@@ -164,7 +164,6 @@ def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor, *, exact
     if differ:
         share = max(_FLOOR, sum(differ) / len(differ))
         odds += _clamped(_COLOR * math.log(_OTHER / share), _COLORS_AGAINST)
-    odds -= _TWICE * max(0.0, 1.0 - between(source, target, T_target_source) / _STAND)
     return odds
 
 
@@ -172,6 +171,34 @@ def between(source: Sight, target: Sight, T_target_source: Tensor) -> float:
     """How far apart two scanners stand, as a multiple of the mean of their ranges."""
     apart = apply(T_target_source, source.scanner[None])[0] - target.scanner
     return float(torch.linalg.vector_norm(apart)) / (0.5 * (source.reach + target.reach))
+
+
+class Stations(NamedTuple):
+    """How far apart the scanners of a site stand, as a multiple of their ranges.
+
+    Attributes:
+        apart: from there on nothing speaks against two stations.
+        against: log-odds against two stations at one place; less, the farther apart they are.
+    """
+
+    apart: float = 0.2
+    against: float = 3.0
+
+    def odds(self, between: float) -> float:
+        """Log-odds against two stations so far apart."""
+        return -self.against * max(0.0, 1.0 - between / self.apart)
+
+
+def learned_stations(between: Sequence[float]) -> Stations | None:
+    """What the distances of stations that can be believed say of all; ``None`` where they are few.
+
+    Surveyors set up where they see something new, people with a camera in their hands do not: so it is the site that
+    tells. Look-alike places on each other are told from it, since their scanners would stand at one place.
+    """
+    if len(between) < _BELIEVED:
+        return None
+    usual = float(torch.tensor(between, dtype=torch.float64).quantile(_CLOSEST))
+    return Stations(max(_TOGETHER, _NEARER * usual), 6.0)
 
 
 class SiteSight:
@@ -184,6 +211,7 @@ class SiteSight:
 
     def __init__(self, sights: Callable[[int], Sight | None], count: int) -> None:
         self._sights, self._count = sights, count
+        self.stations = Stations()
         self._known: dict[int, Sight | None] = {}
         self._odds: dict[tuple[int, int, tuple[float, ...]], float] = {}
 
@@ -204,14 +232,15 @@ class SiteSight:
         return self._known[scan]
 
     def odds(self, source: int, target: int, T_target_source: Tensor) -> float:
-        """Log-odds for a pose, or against it, from what both saw.
+        """Log-odds for a pose, or against it, from what both saw and from where they would stand.
 
         Of poses that are within a part of a spacing of each other, those of the first that was asked.
         """
         one, other = self.of(source), self.of(target)
         if one is None or other is None:
             return 0.0
-        if between(one, other, T_target_source) > NEAR:
+        apart = between(one, other, T_target_source)
+        if apart > NEAR:
             return 0.0
         fine = max(one.spacing, other.spacing)
         shift = T_target_source[:3, 3] / fine
@@ -219,7 +248,7 @@ class SiteSight:
         key = (source, target, tuple(torch.cat([shift, turn.flatten()]).mul_(2.0).round_().tolist()))
         if key not in self._odds:
             self._odds[key] = witnessed_by(one, other, T_target_source, exact=False)
-        return self._odds[key]
+        return self._odds[key] + self.stations.odds(apart)
 
 
 def _clamped(odds: float, against: float) -> float:

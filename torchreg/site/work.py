@@ -21,7 +21,7 @@ from torchreg.site.found import has_chance, is_worth_a_look, links_of, refined_l
 from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, Report, SitePair, SiteProgress, alike
 from torchreg.site.result import TriedPair
-from torchreg.site.sight import Sight, sight_of, witnessed_by
+from torchreg.site.sight import Sight, between, sight_of, witnessed_by
 from torchreg.site.sketches import Sketch, sketch_of
 from torchreg.types import Clouds
 
@@ -95,7 +95,8 @@ def _ask_scanners(pairs: Sequence[SitePair], links: Sequence[list[Link]], sides:
             continue
         for rank, link in enumerate(own):
             if is_worth_a_look(link):
-                own[rank] = replace(link, sight=witnessed_by(source, target, link.T_target_source))
+                T = link.T_target_source
+                own[rank] = replace(link, sight=witnessed_by(source, target, T), apart=between(source, target, T))
 
 
 def _refined(pairs: Sequence[SitePair], sides: Sides, T_target_source: Tensor) -> Refined | None:
