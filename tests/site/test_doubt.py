@@ -4,7 +4,7 @@ import pytest
 import torch
 from sites import made_site
 
-from torchreg.site import solve
+from torchreg.site import trust
 from torchreg.site.doubt import doubt
 from torchreg.site.placement import place
 from torchreg.site.tolerance import Tolerance
@@ -45,8 +45,8 @@ def test_a_tree_alone_is_no_test():
 
 def test_the_doubt_that_is_told_is_what_was_taken(monkeypatch):
     links = made_site(6, 12, wrong=0.0).links
-    monkeypatch.setattr(solve, "doubt", lambda links, placement: 1.0)  # which never ends
-    trusted = solve.placed([[link] for link in links], 6, Tolerance())
+    monkeypatch.setattr(trust, "doubt", lambda links, placement: 1.0)  # which never ends
+    trusted = trust.placed([[link] for link in links], 6, Tolerance())
     assert trusted.doubt > 0
     taken = [link.log_odds - less.log_odds for link, less in zip(links, trusted.links, strict=True)]
     assert taken == pytest.approx([trusted.doubt] * len(links))

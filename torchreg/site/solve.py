@@ -1,12 +1,11 @@
 """From scans that can be looked at and registered, wherever that happens, to their poses.
 
 which pairs -> register them -> links -> place     ``rounds``, ``work``, ``placement``
-less trust where links contradict each other       ``doubt``
+as far as links can be trusted                     ``trust``
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,28 +15,21 @@ import torch
 from torch import Tensor
 
 from torchreg.refinement.surfels import Surfels, surfels_of
-from torchreg.site.doubt import doubt
-from torchreg.site.found import with_odds
 from torchreg.site.frame import Framed, SiteFrame, frame_of, judged
 from torchreg.site.joint import refine_together
-from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, SiteProgress
-from torchreg.site.placement import Placement, place
 from torchreg.site.result import SiteLink, SiteResult
 from torchreg.site.rounds import Pair, Standing, first_pairs, most_pairs, next_pairs
 from torchreg.site.scans import SiteScans
-from torchreg.site.sight import SiteSight, learned_stations, sight_of
+from torchreg.site.sight import SiteSight, sight_of
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
+from torchreg.site.trust import Trusted, placed
 from torchreg.site.work import PairFound, SiteWork
 from torchreg.types import Clouds
 
 _ALIKE = 2.0  # inlier thresholds that poses held to be one are apart, besides what their covariances allow
 _DEGREES = 2.0  # likewise
-_DOUBTS = 4  # rounds of doubt
-_SURVEYS, _SAME = 3, 0.05  # rounds of learning how far apart stations are, until that changes by no more
-_BELIEVED = 0.5  # log-odds from what scanners saw, of links that this is learned from
-_LITTLE = 0.5  # log-odds: doubt below changes nothing
 _ROUNDS = 8  # of pairs at most
 _TOLD = 500  # comparisons between reports
 _WITNESS = 2500  # surfels of a scan that others are asked about
@@ -63,53 +55,6 @@ class Prospects(NamedTuple):
 
     votes: Tensor
     sketches: Sequence[Sketch]
-
-
-class Trusted(NamedTuple):
-    """Links as far as they can be trusted, and where they put the scans."""
-
-    links: list[Link]
-    placement: Placement
-    doubt: float  # what was taken from the log-odds of all candidates
-
-
-def placed(
-    candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, sight: SiteSight | None = None
-) -> Trusted:
-    """Place scans by the candidates of every pair; where links contradict each other, all are trusted less.
-
-    Where scanners are witnesses, the links that can be believed tell how far apart they stand, and all are weighed
-    again by that.
-    """
-    trusted = _doubted(candidates, count, tolerance, sight)
-    for _ in range(_SURVEYS if sight is not None else 0):
-        used = zip(trusted.links, trusted.placement.used.tolist(), strict=True)
-        learned = learned_stations([link.apart for link, is_used in used if is_used and link.sight > _BELIEVED])
-        if sight is None or learned is None or abs(learned.apart - sight.stations.apart) < _SAME * learned.apart:
-            break
-        sight.stations = learned
-        trusted = _doubted(candidates, count, tolerance, sight)
-    return trusted
-
-
-def _doubted(
-    candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, sight: SiteSight | None
-) -> Trusted:
-    less, more = 0.0, 0.0
-    for _ in range(_DOUBTS):
-        less += more
-        links = [link for pair in candidates for link in with_odds(pair, [_odds(one, sight) - less for one in pair])]
-        placement = place(links, count, tolerance=tolerance, sight=sight)
-        more = doubt(links, placement)
-        if more < _LITTLE:
-            break
-    return Trusted(links, placement, less)
-
-
-def _odds(link: Link, sight: SiteSight | None) -> float:
-    """The log-odds of a candidate with what the places of its scanners say."""
-    known = sight is not None and not math.isnan(link.apart)
-    return link.log_odds + (sight.stations.odds(link.apart) if known else 0.0)  # type: ignore[union-attr]  # if known
 
 
 @dataclass
