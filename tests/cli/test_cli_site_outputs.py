@@ -10,12 +10,12 @@ import pytest
 import torch
 from made_e57 import write_e57
 from problems import random_transform, room_site, seeded
+from sites import site_of_poses
 
 import torchreg as tr
 from torchreg.cli.placed_scans import InputScan, placed_files
 from torchreg.geometry.se3 import apply, compose, inverse, quaternion_wxyz
 from torchreg.io import read_scans
-from torchreg.site import SiteResult
 
 
 @pytest.fixture(scope="module")
@@ -164,22 +164,7 @@ def test_usage_is_checked_before_anything_is_read(run, tmp_path, monkeypatch, wo
 
 
 def placed_site(group):
-    count = len(group)
-    return SiteResult(
-        T_world_scan=torch.eye(4, dtype=torch.float64).expand(count, 4, 4),
-        group=torch.tensor(group),
-        covariance=torch.zeros(count, 6, 6, dtype=torch.float64),
-        center=torch.zeros(count, 3, dtype=torch.float64),
-        reason=("",) * count,
-        notes=((),) * count,
-        links=(),
-        pairs=(),
-        scale=1.0,
-        doubt=0.0,
-        control=(),
-        remarks=(),
-        seconds=(),
-    )
+    return site_of_poses(torch.eye(4, dtype=torch.float64).expand(len(group), 4, 4), group)
 
 
 def test_names_never_collide_and_groups_stay_apart(tmp_path):

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of, rotation_vector
+from torchreg.site import SiteResult
 from torchreg.site.links import Link
 from torchreg.synthetic.match_problems import random_rotation
 
@@ -150,3 +151,23 @@ def errors(T_world_scan: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
         if best is None or meters.median() < best[0].median():
             best = meters, torch.rad2deg(rotation_vector(off[:, :3, :3]).norm(dim=1))
     return best
+
+
+def site_of_poses(poses: Tensor, group: list[int]) -> SiteResult:
+    """A result with these poses (N, 4, 4) and groups, and no links."""
+    count = len(group)
+    return SiteResult(
+        T_world_scan=poses,
+        group=torch.tensor(group),
+        covariance=torch.zeros(count, 6, 6, dtype=torch.float64),
+        center=torch.zeros(count, 3, dtype=torch.float64),
+        reason=("",) * count,
+        notes=((),) * count,
+        links=(),
+        pairs=(),
+        scale=1.0,
+        doubt=0.0,
+        control=(),
+        remarks=(),
+        seconds=(),
+    )

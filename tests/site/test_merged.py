@@ -9,33 +9,17 @@ import numpy as np
 import pytest
 import torch
 from problems import random_points, turned
+from sites import site_of_poses
 
 import torchreg as tr
 from torchreg.geometry.se3 import apply, inverse
-from torchreg.site import SiteResult
 from torchreg.site.merged import merged_cloud
 
 SPACING = 0.05
 
 
 def placed(poses, group):
-    """A result with these poses and no links."""
-    count = len(group)
-    return SiteResult(
-        T_world_scan=torch.stack(poses),
-        group=torch.tensor(group),
-        covariance=torch.zeros(count, 6, 6, dtype=torch.float64),
-        center=torch.zeros(count, 3, dtype=torch.float64),
-        reason=("",) * count,
-        notes=((),) * count,
-        links=(),
-        pairs=(),
-        scale=1.0,
-        doubt=0.0,
-        control=(),
-        remarks=(),
-        seconds=(),
-    )
+    return site_of_poses(torch.stack(poses), group)
 
 
 def test_moved_copies_fall_on_each_other():
