@@ -34,6 +34,7 @@ _GRAZING = 0.3  # cosine between ray and normal: planes seen flatter are not dra
 _CLOSE = 0.25  # slacks: surfels that are as near to where they are seen are the same place, whose colors are compared
 
 _BELIEVED, _CLOSEST, _NEARER, _TOGETHER = 10, 0.2, 0.8, 0.02  # links; of their distances; nearer than that; at least
+_LEARNED = 6.0  # log-odds against stations at one place, once it is known how far apart they are
 _LEAST = 80  # surfels of both that tell something: fewer say nothing
 _FOR = 1.5  # log-odds at most that one kind of evidence speaks for a pose
 _THROUGH, _USUAL, _AGAINST = 1.2, 0.03, 3.0  # weight, the share that speaks neither way, log-odds at most against
@@ -198,7 +199,7 @@ def learned_stations(between: Sequence[float]) -> Stations | None:
     if len(between) < _BELIEVED:
         return None
     usual = float(torch.tensor(between, dtype=torch.float64).quantile(_CLOSEST))
-    return Stations(max(_TOGETHER, _NEARER * usual), 6.0)
+    return Stations(max(_TOGETHER, _NEARER * usual), _LEARNED)
 
 
 class SiteSight:

@@ -10,7 +10,7 @@ from torchreg.site.doubt import doubt
 from torchreg.site.found import with_odds
 from torchreg.site.links import Link
 from torchreg.site.placement import Placement, place
-from torchreg.site.sight import SiteSight, learned_stations
+from torchreg.site.sight import SiteSight, Stations, learned_stations
 from torchreg.site.tolerance import Tolerance
 
 _DOUBTS = 4  # rounds of doubt
@@ -35,6 +35,8 @@ def placed(
     Where scanners are witnesses, the links that can be believed tell how far apart they stand, and all are weighed
     again by that.
     """
+    if sight is not None:
+        sight.stations = Stations()  # as nothing is known of them yet: what follows depends on the candidates alone
     trusted = _doubted(candidates, count, tolerance, sight)
     for _ in range(_SURVEYS if sight is not None else 0):
         used = zip(trusted.links, trusted.placement.used.tolist(), strict=True)
