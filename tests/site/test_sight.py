@@ -6,7 +6,8 @@ from problems import room_site
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of
 from torchreg.refinement.surfels import surfels_of
-from torchreg.site.sight import SiteSight, between, learned_stations, seen_by, sight_of, witnessed_by
+from torchreg.site.sight import between, learned_stations, seen_by, sight_of, witnessed_by
+from torchreg.site.site_sight import SiteSight
 
 
 def sights(count=2):

@@ -30,7 +30,7 @@ from torchreg.geometry.se3 import apply, compose, inverse
 from torchreg.site.graph import SiteGraph, residuals
 from torchreg.site.loops import Triangles, error_scale, support
 from torchreg.site.optimize import settle_poses
-from torchreg.site.sight import SiteSight
+from torchreg.site.site_sight import SiteSight
 from torchreg.site.tolerance import Tolerance
 
 _ROUNDS = ((4.0, True), (2.0, True), (0.0, True), (4.0, False), (2.0, False), (0.0, False), (-4.0, False))

@@ -19,7 +19,7 @@ from torchreg.site.links import KnownPose, Link
 from torchreg.site.loops import Triangles, agreeing_triangles
 from torchreg.site.optimize import SettledPoses, settle_poses
 from torchreg.site.reasons import reasons_of
-from torchreg.site.sight import SiteSight
+from torchreg.site.site_sight import SiteSight
 from torchreg.site.tolerance import Tolerance
 
 _FAINT = -4.0  # log-odds: links below take no part before there are poses

@@ -15,13 +15,12 @@ in the median and wrong ones by 18 %.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect
 from torchreg.geometry.se3 import apply, inverse
 from torchreg.neighborhoods.point_index import several_nearest
 from torchreg.refinement.surfels import Surfels
@@ -121,10 +120,10 @@ def sight_of(surfels: Surfels, most: int = 6000) -> Sight | None:
     )
 
 
-def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor, *, exact: bool = True) -> Seen:
+def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor) -> Seen:
     """What the scanner of ``viewer`` saw of the surfels of ``other`` under a pose (4, 4) float64.
 
-    ``exact`` says that the pose is, to a part of a spacing, so that colors are compared of the same places alone.
+    The pose is meant to be exact to a part of a spacing: rays are held against the planes of single surfels.
     """
     away = apply(T_viewer_other, other.points) - viewer.scanner
     ranges = torch.linalg.vector_norm(away, dim=1).clamp(min=1e-9)
@@ -143,7 +142,7 @@ def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor, *, exact: bool 
     there = looked & (least - ranges <= slack) & (ranges - most <= slack)
     counts = int(through.sum()), int(there.sum())
     differ = math.nan
-    same = there & ((drawn - ranges[:, None]).abs().amin(dim=1) < _CLOSE * slack) if exact else there
+    same = there & ((drawn - ranges[:, None]).abs().amin(dim=1) < _CLOSE * slack)
     if int(same.sum()) > _LEAST_COLORED and viewer.colors is not None and other.colors is not None:
         apart = (viewer.colors[near[:, 0]] - other.colors)[same]
         apart = (apart - apart.median(dim=0).values).abs().mean(dim=1)
@@ -151,20 +150,16 @@ def seen_by(viewer: Sight, other: Sight, T_viewer_other: Tensor, *, exact: bool 
     return Seen(*counts, differ)
 
 
-def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor, *, exact: bool = True) -> float:
-    """Log-odds for a pose (4, 4) float64, or against it, from what both scanners saw; 0 where they tell nothing.
-
-    ``exact`` as in ``seen_by``.
-    """
-    forth = seen_by(target, source, T_target_source, exact=exact)
-    views = forth, seen_by(source, target, inverse(T_target_source), exact=exact)
+def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor) -> float:
+    """Log-odds for a pose (4, 4) float64, or against it, from what both scanners saw; 0 where they tell nothing."""
+    views = seen_by(target, source, T_target_source), seen_by(source, target, inverse(T_target_source))
     if sum(view.through + view.there for view in views) < _LEAST:
         return 0.0
-    odds = _clamped(_THROUGH * math.log(_USUAL / max(view.share for view in views)), _AGAINST)
+    odds = clamped(_THROUGH * math.log(_USUAL / max(view.share for view in views)), most=_FOR, least=-_AGAINST)
     differ = [view.differ for view in views if not math.isnan(view.differ)]
     if differ:
         share = max(_FLOOR, sum(differ) / len(differ))
-        odds += _clamped(_COLOR * math.log(_OTHER / share), _COLORS_AGAINST)
+        odds += clamped(_COLOR * math.log(_OTHER / share), most=_FOR, least=-_COLORS_AGAINST)
     return odds
 
 
@@ -202,55 +197,6 @@ def learned_stations(between: Sequence[float]) -> Stations | None:
     return Stations(max(_TOGETHER, _NEARER * usual), _LEARNED)
 
 
-class SiteSight:
-    """What the scanners of a site saw, asked for two scans under poses that come up again and again.
-
-    Args:
-        sights: the sight of a scan by its number, or ``None``.
-        count: of the scans.
-    """
-
-    def __init__(self, sights: Callable[[int], Sight | None], count: int) -> None:
-        self._sights, self._count = sights, count
-        self.stations = Stations()
-        self._known: dict[int, Sight | None] = {}
-        self._odds: dict[tuple[int, int, tuple[float, ...]], float] = {}
-
-    def has(self, node: int) -> bool:
-        """Whether a node of the graph is a scan whose scanner's place is known."""
-        return node < self._count and self.of(node) is not None
-
-    def scanner(self, scan: int) -> Tensor:
-        """The place (3,) of a scanner that is known, in the frame of the scan's file."""
-        sight = self.of(scan)
-        expect(sight is not None, "scan", "one whose scanner's place is known", scan)
-        return sight.scanner  # type: ignore[union-attr]  # just checked
-
-    def of(self, scan: int) -> Sight | None:
-        """The sight of a scan."""
-        if scan not in self._known:
-            self._known[scan] = self._sights(scan)
-        return self._known[scan]
-
-    def odds(self, source: int, target: int, T_target_source: Tensor) -> float:
-        """Log-odds for a pose, or against it, from what both saw and from where they would stand.
-
-        Of poses that are within a part of a spacing of each other, those of the first that was asked.
-        """
-        one, other = self.of(source), self.of(target)
-        if one is None or other is None:
-            return 0.0
-        apart = between(one, other, T_target_source)
-        if apart > NEAR:
-            return 0.0
-        fine = max(one.spacing, other.spacing)
-        shift = T_target_source[:3, 3] / fine
-        turn = T_target_source[:3, :3] * (max(one.reach, other.reach) / fine)
-        key = (source, target, tuple(torch.cat([shift, turn.flatten()]).mul_(2.0).round_().tolist()))
-        if key not in self._odds:
-            self._odds[key] = witnessed_by(one, other, T_target_source, exact=False)
-        return self._odds[key] + self.stations.odds(apart)
-
-
-def _clamped(odds: float, against: float) -> float:
-    return max(-against, min(_FOR, odds))
+def clamped(odds: float, *, most: float, least: float) -> float:
+    """Log-odds within these bounds."""
+    return max(least, min(most, odds))

@@ -21,7 +21,8 @@ from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, Site
 from torchreg.site.result import SiteLink, SiteResult
 from torchreg.site.rounds import Pair, Standing, first_pairs, most_pairs, next_pairs
 from torchreg.site.scans import SiteScans
-from torchreg.site.sight import SiteSight, sight_of
+from torchreg.site.sight import sight_of
+from torchreg.site.site_sight import SiteSight
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
 from torchreg.site.trust import Trusted, placed
@@ -32,7 +33,6 @@ _ALIKE = 2.0  # inlier thresholds that poses held to be one are apart, besides w
 _DEGREES = 2.0  # likewise
 _ROUNDS = 8  # of pairs at most
 _TOLD = 500  # comparisons between reports
-_WITNESS = 2500  # surfels of a scan that others are asked about
 _NOTHING = Clouds(torch.zeros(0, 3))
 
 
@@ -73,7 +73,7 @@ class _Solver:
 
     def __post_init__(self) -> None:
         self.notes = ((),) * len(self.scans)
-        self.sight = SiteSight(lambda scan: sight_of(self._surfels(scan), _WITNESS), len(self.scans))
+        self.sight = SiteSight(lambda scan: sight_of(self._surfels(scan)), len(self.scans))
 
     def solved(self) -> SiteResult:
         if self.plan.is_whole:

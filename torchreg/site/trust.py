@@ -10,7 +10,8 @@ from torchreg.site.doubt import doubt
 from torchreg.site.found import with_odds
 from torchreg.site.links import Link
 from torchreg.site.placement import Placement, place
-from torchreg.site.sight import SiteSight, Stations, learned_stations
+from torchreg.site.sight import Stations, learned_stations
+from torchreg.site.site_sight import SiteSight
 from torchreg.site.tolerance import Tolerance
 
 _DOUBTS = 4  # rounds of doubt

@@ -1,0 +1,174 @@
+"""What a scanner saw all around as an image of ranges, in which thousands of points are looked up in a moment.
+
+Poses that follow from a chain of links are known to some centimeters. A point is held against the nearest and the
+farthest range of the rays around its own then, so that edges of furniture tell nothing, and its color against the mean
+of the cell. Colors are compared twice, as they are and as shares of red, green and blue, which light and exposure
+hardly change.
+
+The cells are those of an equal-area grid of rows of one latitude, as wide as two rays of the scanner are apart. Sums
+are those of whole numbers, minima and maxima do not depend on order: the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchreg.geometry.se3 import apply, inverse
+from torchreg.site.sight import Sight, clamped
+
+_SLACK, _SLOPE = 0.5, 0.01  # spacings, and of the range, by which a range may be off
+_LEAST, _BESIDES = 200, 100  # points that tell something, at least; added to them when a share is taken
+_LEAST_COLORED = 100  # points seen whose colors are known
+_STEPS = 256  # of a color
+_DARK = 0.05  # added to the sum of the channels that tints are shares of
+
+_THROUGH, _USUAL = 1.0, 0.009  # weight of the share of points looked through, and the share that speaks neither way
+_COLOR, _OTHER = 0.3, 0.045  # likewise, of the mean difference of colors
+_TINT, _TINGED = 0.7, 0.0125  # and of tints
+_FOR, _AGAINST = 1.5, 4.0  # log-odds at most that ranges or colors speak for a pose, or against it
+
+
+class Panorama(NamedTuple):
+    """The surfels of a scan in the directions in which its scanner saw them.
+
+    Attributes:
+        sight: the scan.
+        row: (H + 1,) int64, the first cell of every row, from zenith to nadir.
+        nearest: (C,) float64, meters: the least range of the rays around each cell; infinite where there is none.
+        farthest: (C,) float64, likewise.
+        range: (C,) float64, the mean of the rays in the cell; NaN where there is none.
+        colors: (C, 3) float64 in [0, 1], the mean likewise; or ``None``.
+    """
+
+    sight: Sight
+    row: Tensor
+    nearest: Tensor
+    farthest: Tensor
+    range: Tensor
+    colors: Tensor | None
+
+    def cells(self, away: Tensor) -> Tensor:
+        """The cells (P,) of directions (P, 3) of any length."""
+        return _cells(self.row, away)
+
+
+class Looked(NamedTuple):
+    """Of points of one scan that the scanner of another could have seen.
+
+    Attributes:
+        through: how many it looked through.
+        there: how many it saw.
+        color: mean difference of the channels of those seen, besides the median of each; NaN where it is not known.
+        tint: likewise of their shares of the sum.
+    """
+
+    through: int
+    there: int
+    color: float
+    tint: float
+
+    @property
+    def tells(self) -> bool:
+        """Whether these are enough."""
+        return self.through + self.there >= _LEAST
+
+    @property
+    def share(self) -> float:
+        """The share that it looked through, as if one of a hundred more had been."""
+        return (self.through + 1.0) / (self.through + self.there + _BESIDES)
+
+
+def panorama_of(sight: Sight) -> Panorama:
+    """The panorama of a scan."""
+    angle = sight.angle
+    height = max(1, round(math.pi / angle))
+    latitude = (torch.arange(height, dtype=torch.float64) + 0.5) / height * math.pi
+    width = (2 * height * latitude.sin()).round().clamp(min=3).long()
+    row = torch.cat([width.new_zeros(1), width.cumsum(0)])
+    count = int(row[-1])
+    nearest = torch.full((count,), math.inf, dtype=torch.float64)
+    farthest = torch.full((count,), -math.inf, dtype=torch.float64)
+    across, along = _beside(sight.rays)
+    for i in (-1, 0, 1):
+        for j in (-1, 0, 1):
+            cell = _cells(row, sight.rays + angle * (i * across + j * along))
+            nearest.scatter_reduce_(0, cell, sight.ranges, "amin")
+            farthest.scatter_reduce_(0, cell, sight.ranges, "amax")
+    own = _cells(row, sight.rays)
+    rays = torch.bincount(own, minlength=count)
+    fine = sight.spacing / _STEPS
+    ranges = torch.zeros(count, dtype=torch.int64).index_add_(0, own, (sight.ranges / fine).round().long())
+    colors = None
+    if sight.colors is not None:
+        steps = (sight.colors * _STEPS).round().long()
+        colors = torch.zeros(count, 3, dtype=torch.int64).index_add_(0, own, steps) / (_STEPS * rays[:, None])
+    return Panorama(sight, row, nearest, farthest, ranges * fine / rays, colors)
+
+
+def looked(viewer: Panorama, other: Sight, T_viewer_other: Tensor) -> Looked:
+    """What the scanner of ``viewer`` saw of the surfels of ``other`` under a pose (4, 4) float64."""
+    away = apply(T_viewer_other, other.points) - viewer.sight.scanner
+    ranges = torch.linalg.vector_norm(away, dim=1)
+    cell = viewer.cells(away)
+    nearest, farthest = viewer.nearest[cell], viewer.farthest[cell]
+    slack = _SLACK * max(viewer.sight.spacing, other.spacing) + _SLOPE * ranges
+    known = nearest.isfinite()
+    through = known & (nearest - ranges > slack)
+    there = known & (ranges - farthest <= slack) & ~through
+    color = tint = math.nan
+    if viewer.colors is not None and other.colors is not None:
+        same = (there & ((viewer.range[cell] - ranges).abs() < slack)).nonzero()[:, 0]
+        if len(same) > _LEAST_COLORED:
+            one, two = viewer.colors[cell[same]], other.colors[same]
+            color, tint = _difference(one, two), _difference(_tints(one), _tints(two))
+    return Looked(int(through.sum()), int(there.sum()), color, tint)
+
+
+def looked_at(source: Panorama, target: Panorama, T_target_source: Tensor) -> float:
+    """Log-odds for a pose (4, 4) float64, or against it, from what both scanners saw; 0 where they tell nothing."""
+    views = [
+        looked(target, source.sight, T_target_source),
+        looked(source, target.sight, inverse(T_target_source)),
+    ]
+    odds = 0.0
+    shares = [view.share for view in views if view.tells]
+    if shares:
+        odds += clamped(_THROUGH * math.log(_USUAL / max(shares)), most=_FOR, least=-_AGAINST)
+    colored = [view for view in views if view.tells and not math.isnan(view.color)]
+    if colored:
+        color = sum(view.color for view in colored) / len(colored)
+        tint = sum(view.tint for view in colored) / len(colored)
+        speaks = _COLOR * math.log(_OTHER / max(color, 1e-6)) + _TINT * math.log(_TINGED / max(tint, 1e-6))
+        odds += clamped(speaks, most=_FOR, least=-_AGAINST)
+    return odds
+
+
+def _cells(row: Tensor, away: Tensor) -> Tensor:
+    height, width = len(row) - 1, row.diff()
+    length = torch.linalg.vector_norm(away, dim=1).clamp(min=1e-9)
+    latitude = torch.acos((away[:, 2] / length).clamp(-1.0, 1.0))
+    at = (latitude * (height / math.pi)).long().clamp(max=height - 1)
+    turn = torch.atan2(away[:, 1], away[:, 0]) / (2 * math.pi) + 0.5
+    return row[at] + torch.minimum((turn * width[at]).long(), width[at] - 1)
+
+
+def _beside(rays: Tensor) -> tuple[Tensor, Tensor]:
+    """Two directions (P, 3) of unit length across each ray and each other."""
+    steep = rays[:, 2:].abs() < 0.9
+    axis = torch.where(steep, rays.new_tensor([0.0, 0.0, 1.0]), rays.new_tensor([1.0, 0.0, 0.0]))
+    across = torch.nn.functional.normalize(torch.linalg.cross(rays, axis), dim=1)
+    return across, torch.linalg.cross(rays, across)
+
+
+def _tints(colors: Tensor) -> Tensor:
+    return colors / (colors.sum(dim=1, keepdim=True) + _DARK)
+
+
+def _difference(one: Tensor, two: Tensor) -> float:
+    """The mean difference of colors (P, 3), besides the median of each channel."""
+    apart = one - two
+    return float((apart - apart.median(dim=0).values).abs().mean())
