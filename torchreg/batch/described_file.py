@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from torchreg.io.atomic import atomic_write
+from torchreg.batch.checked_file import read_checked, write_checked
 from torchreg.io.result_json import plain_data
 from torchreg.refinement.surfels import Surfels
 from torchreg.registration.described import DescribedClouds, Description
@@ -19,7 +19,6 @@ from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
 _FORMAT = 8
-_CHECKSUM_BYTES = 16  # before the content: a byte that changed on the disk would change results without a trace
 
 
 def described_name(digest: str, description: Description, device: str) -> str:
@@ -43,9 +42,7 @@ def write_described(path: Path, described: DescribedClouds) -> None:
     content = (described.cloud, described.features, described.spacing, described.facts, described.surfels)
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    with atomic_write(path, durable=False, through_link=False) as file:  # the checksum shows what a power cut damaged
-        file.write(_checksum(path.name, buffer.getvalue()))
-        file.write(buffer.getvalue())
+    write_checked(path, buffer.getvalue())
 
 
 def read_described(path: Path, description: Description) -> DescribedClouds | None:
@@ -54,20 +51,9 @@ def read_described(path: Path, description: Description) -> DescribedClouds | No
     ``None`` where the file is missing or damaged, or was written under another name and so is another's description, so
     that it is to be made again.
     """
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    checksum, body = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-    if _checksum(path.name, body) != checksum:
+    body = read_checked(path)
+    if body is None:
         return None
     with torch.serialization.safe_globals([Clouds, Features, CloudFacts, Failure, Surfels]):
         cloud, features, spacing, facts, surfels = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
     return DescribedClouds(cloud, features, (description,), spacing, facts, surfels)
-
-
-def _checksum(name: str, content: bytes) -> bytes:
-    """Of a file's name with its content: the name alone says which cloud it is and how it was described."""
-    digest = hashlib.blake2b(f"{name}\0".encode(), digest_size=_CHECKSUM_BYTES)
-    digest.update(content)
-    return digest.digest()

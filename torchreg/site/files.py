@@ -22,6 +22,8 @@ from torchreg.registration.described import DescribedClouds
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.same_clouds import digest_of
 from torchreg.site.pairs import DescriptionKey, SitePair
+from torchreg.site.panorama import Panorama, panorama_of
+from torchreg.site.panorama_file import panorama_file, read_panorama, write_panorama
 from torchreg.site.records import text_of_found, text_of_look
 from torchreg.site.scans import look_at
 from torchreg.site.sketches import Sketch, sketch_of
@@ -144,12 +146,24 @@ def _described(item: ScanItem, loaded: DescribedClouds | Clouds, device: str) ->
         return loaded.to(device)
     described = describe_by(loaded.to(device), [item.key.description])
     write_described(Path(item.file), described.to("cpu"))
+    write_panorama(panorama_file(Path(item.file)), panorama_of(loaded))
     return described
 
 
 def described_scan(item: ScanItem, device: str) -> DescribedClouds:
     """The description of a scan, a batch of one."""
     return _described(item, _load_described(item), device)
+
+
+def panorama_of_scan(item: ScanItem) -> Panorama | None:
+    """The panorama of a scan as it was kept, or made again and kept now."""
+    file = panorama_file(Path(item.file))
+    kept = read_panorama(file)
+    if kept is not None:
+        return kept.panorama
+    panorama = panorama_of(_load_scan(item))
+    write_panorama(file, panorama)
+    return panorama
 
 
 def _load_sketched(item: SketchItem) -> DescribedClouds | Clouds:

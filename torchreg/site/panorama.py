@@ -18,12 +18,19 @@ import torch
 from torch import Tensor
 
 from torchreg.geometry.se3 import apply, inverse
-from torchreg.site.sight import Sight, clamped
+from torchreg.neighborhoods.point_index import several_nearest
+from torchreg.site.sight import clamped
+from torchreg.types import Clouds
 
-_SLACK, _SLOPE = 0.5, 0.01  # spacings, and of the range, by which a range may be off
+_RAYS, _FEWEST = 100_000, 2_000  # of a scan, at most and at least
+_FINEST = math.radians(1.0)  # cells
+_NEAREST = 4  # rays, this one among them, that say how far apart rays are
+_ASKED = 6_000  # points of a scan that others are asked about
+
+_SLACK, _SLOPE = 1.0, 0.01  # spacings, and of the range, by which a range may be off
 _LEAST, _BESIDES = 200, 100  # points that tell something, at least; added to them when a share is taken
 _LEAST_COLORED = 100  # points seen whose colors are known
-_STEPS = 256  # of a color
+_STEPS = 255  # of a color
 _DARK = 0.05  # added to the sum of the channels that tints are shares of
 
 _THROUGH, _USUAL = 1.0, 0.009  # weight of the share of points looked through, and the share that speaks neither way
@@ -33,27 +40,31 @@ _FOR, _AGAINST = 1.5, 4.0  # log-odds at most that ranges or colors speak for a 
 
 
 class Panorama(NamedTuple):
-    """The surfels of a scan in the directions in which its scanner saw them.
+    """What the scanner of a scan saw, by direction.
 
     Attributes:
-        sight: the scan.
+        scanner: (3,) float64, meters, in the frame of the scan's file.
+        reach: meters, the median range.
+        spacing: meters between neighboring cells there.
         row: (H + 1,) int64, the first cell of every row, from zenith to nadir.
-        nearest: (C,) float64, meters: the least range of the rays around each cell; infinite where there is none.
-        farthest: (C,) float64, likewise.
-        range: (C,) float64, the mean of the rays in the cell; NaN where there is none.
-        colors: (C, 3) float64 in [0, 1], the mean likewise; or ``None``.
+        nearest: (C,) float32, meters: the least range of the rays around each cell; infinite where there is none.
+        farthest: (C,) float32, likewise the largest; minus infinity where there is none.
+        colors: (C, 3) uint8, the mean of the rays in the cell, 0 where there is none; or ``None``.
+        seen: (C,) bool, whether there is one.
+        points: (P, 3) float32, meters from the scanner, of points that other scanners are asked about.
+        point_colors: (P, 3) uint8, or ``None``.
     """
 
-    sight: Sight
+    scanner: Tensor
+    reach: float
+    spacing: float
     row: Tensor
     nearest: Tensor
     farthest: Tensor
-    range: Tensor
     colors: Tensor | None
-
-    def cells(self, away: Tensor) -> Tensor:
-        """The cells (P,) of directions (P, 3) of any length."""
-        return _cells(self.row, away)
+    seen: Tensor
+    points: Tensor
+    point_colors: Tensor | None
 
 
 class Looked(NamedTuple):
@@ -82,58 +93,76 @@ class Looked(NamedTuple):
         return (self.through + 1.0) / (self.through + self.there + _BESIDES)
 
 
-def panorama_of(sight: Sight) -> Panorama:
-    """The panorama of a scan."""
-    angle = sight.angle
-    height = max(1, round(math.pi / angle))
-    latitude = (torch.arange(height, dtype=torch.float64) + 0.5) / height * math.pi
-    width = (2 * height * latitude.sin()).round().clamp(min=3).long()
-    row = torch.cat([width.new_zeros(1), width.cumsum(0)])
-    count = int(row[-1])
-    nearest = torch.full((count,), math.inf, dtype=torch.float64)
-    farthest = torch.full((count,), -math.inf, dtype=torch.float64)
-    across, along = _beside(sight.rays)
+def panorama_of(cloud: Clouds) -> Panorama | None:
+    """The panorama of a batch of one.
+
+    ``None`` where the place of its scanner is not known, or it has less than 2,000 points.
+    """
+    count = len(cloud.points)
+    if cloud.viewpoint is None or not bool(cloud.viewpoint_known.all()) or count < _FEWEST:
+        return None
+    rows = _some(count, _RAYS)
+    away = (cloud.points[rows.to(cloud.points.device)] - cloud.viewpoint[0]).double().cpu()
+    ranges = torch.linalg.vector_norm(away, dim=1).clamp(min=1e-9)
+    rays = away / ranges[:, None]
+    near = several_nearest(rays, rays, _NEAREST)
+    apart = float(torch.linalg.vector_norm(rays[near[:, -1]] - rays, dim=1).median())
+    angle = max(_FINEST, apart)
+    row = _rows(angle)
+    size = int(row[-1])
+    nearest = torch.full((size,), math.inf, dtype=torch.float64)
+    farthest = torch.full((size,), -math.inf, dtype=torch.float64)
+    across, along = _beside(rays)
     for i in (-1, 0, 1):
         for j in (-1, 0, 1):
-            cell = _cells(row, sight.rays + angle * (i * across + j * along))
-            nearest.scatter_reduce_(0, cell, sight.ranges, "amin")
-            farthest.scatter_reduce_(0, cell, sight.ranges, "amax")
-    own = _cells(row, sight.rays)
-    rays = torch.bincount(own, minlength=count)
-    fine = sight.spacing / _STEPS
-    ranges = torch.zeros(count, dtype=torch.int64).index_add_(0, own, (sight.ranges / fine).round().long())
-    colors = None
-    if sight.colors is not None:
-        steps = (sight.colors * _STEPS).round().long()
-        colors = torch.zeros(count, 3, dtype=torch.int64).index_add_(0, own, steps) / (_STEPS * rays[:, None])
-    return Panorama(sight, row, nearest, farthest, ranges * fine / rays, colors)
+            cell = _cells(row, rays + angle * (i * across + j * along))
+            nearest.scatter_reduce_(0, cell, ranges, "amin")
+            farthest.scatter_reduce_(0, cell, ranges, "amax")
+    own = _cells(row, rays)
+    hits = torch.bincount(own, minlength=size)
+    asked = _some(len(rows), _ASKED)
+    colors = given = None
+    if cloud.colors is not None:
+        given = (cloud.colors[rows.to(cloud.colors.device)].cpu().clamp(0, 1) * _STEPS).round().long()
+        sums = torch.zeros(size, 3, dtype=torch.int64).index_add_(0, own, given)
+        colors = (sums / hits.clamp(min=1)[:, None]).round().to(torch.uint8)
+        given = given[asked].to(torch.uint8)
+    return Panorama(
+        scanner=(cloud.viewpoint[0].double() + cloud.origin[0]).cpu(),
+        reach=float(ranges.median()),
+        spacing=angle * float(ranges.median()),
+        row=row,
+        nearest=nearest.float(),
+        farthest=farthest.float(),
+        colors=colors,
+        seen=hits > 0,
+        points=away[asked].float(),
+        point_colors=given,
+    )
 
 
-def looked(viewer: Panorama, other: Sight, T_viewer_other: Tensor) -> Looked:
-    """What the scanner of ``viewer`` saw of the surfels of ``other`` under a pose (4, 4) float64."""
-    away = apply(T_viewer_other, other.points) - viewer.sight.scanner
+def looked(viewer: Panorama, other: Panorama, T_viewer_other: Tensor) -> Looked:
+    """What the scanner of ``viewer`` saw of the points of ``other`` under a pose (4, 4) float64."""
+    away = apply(T_viewer_other, other.points.double() + other.scanner) - viewer.scanner
     ranges = torch.linalg.vector_norm(away, dim=1)
-    cell = viewer.cells(away)
+    cell = _cells(viewer.row, away)
     nearest, farthest = viewer.nearest[cell], viewer.farthest[cell]
-    slack = _SLACK * max(viewer.sight.spacing, other.spacing) + _SLOPE * ranges
+    slack = _SLACK * max(viewer.spacing, other.spacing) + _SLOPE * ranges
     known = nearest.isfinite()
     through = known & (nearest - ranges > slack)
     there = known & (ranges - farthest <= slack) & ~through
     color = tint = math.nan
-    if viewer.colors is not None and other.colors is not None:
-        same = (there & ((viewer.range[cell] - ranges).abs() < slack)).nonzero()[:, 0]
+    if viewer.colors is not None and other.point_colors is not None:
+        same = (there & viewer.seen[cell] & (farthest - nearest < 2 * slack)).nonzero()[:, 0]
         if len(same) > _LEAST_COLORED:
-            one, two = viewer.colors[cell[same]], other.colors[same]
+            one, two = viewer.colors[cell[same]].double() / _STEPS, other.point_colors[same].double() / _STEPS
             color, tint = _difference(one, two), _difference(_tints(one), _tints(two))
     return Looked(int(through.sum()), int(there.sum()), color, tint)
 
 
 def looked_at(source: Panorama, target: Panorama, T_target_source: Tensor) -> float:
     """Log-odds for a pose (4, 4) float64, or against it, from what both scanners saw; 0 where they tell nothing."""
-    views = [
-        looked(target, source.sight, T_target_source),
-        looked(source, target.sight, inverse(T_target_source)),
-    ]
+    views = looked(target, source, T_target_source), looked(source, target, inverse(T_target_source))
     odds = 0.0
     shares = [view.share for view in views if view.tells]
     if shares:
@@ -147,7 +176,24 @@ def looked_at(source: Panorama, target: Panorama, T_target_source: Tensor) -> fl
     return odds
 
 
+def _some(count: int, most: int) -> Tensor:
+    """Rows of points, in order, so many at most, chosen by chance from a seed of their own."""
+    if count <= most:
+        return torch.arange(count)
+    chance = torch.Generator().manual_seed(count)
+    return torch.randperm(count, generator=chance)[:most].sort().values
+
+
+def _rows(angle: float) -> Tensor:
+    """The first cell of each row (H + 1,) of an equal-area grid of the sphere, and the number of all."""
+    height = max(1, round(math.pi / angle))
+    latitude = (torch.arange(height, dtype=torch.float64) + 0.5) / height * math.pi
+    width = (2 * height * latitude.sin()).round().clamp(min=3).long()
+    return torch.cat([width.new_zeros(1), width.cumsum(0)])
+
+
 def _cells(row: Tensor, away: Tensor) -> Tensor:
+    """The cells (P,) of directions (P, 3) of any length."""
     height, width = len(row) - 1, row.diff()
     length = torch.linalg.vector_norm(away, dim=1).clamp(min=1e-9)
     latitude = torch.acos((away[:, 2] / length).clamp(-1.0, 1.0))

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -163,7 +163,21 @@ def witnessed_by(source: Sight, target: Sight, T_target_source: Tensor) -> float
     return odds
 
 
-def between(source: Sight, target: Sight, T_target_source: Tensor) -> float:
+class Stands(Protocol):
+    """A scan whose scanner's place (3,) float64 is known, in meters in the frame of its file, and its median range."""
+
+    @property
+    def scanner(self) -> Tensor:
+        """The place."""
+        ...
+
+    @property
+    def reach(self) -> float:
+        """The range."""
+        ...
+
+
+def between(source: Stands, target: Stands, T_target_source: Tensor) -> float:
     """How far apart two scanners stand, as a multiple of the mean of their ranges."""
     apart = apply(T_target_source, source.scanner[None])[0] - target.scanner
     return float(torch.linalg.vector_norm(apart)) / (0.5 * (source.reach + target.reach))

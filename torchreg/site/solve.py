@@ -18,10 +18,10 @@ from torchreg.refinement.surfels import Surfels, surfels_of
 from torchreg.site.frame import Framed, SiteFrame, frame_of, judged
 from torchreg.site.joint import refine_together
 from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, SiteProgress
+from torchreg.site.panorama import Panorama
 from torchreg.site.result import SiteLink, SiteResult
 from torchreg.site.rounds import Pair, Standing, first_pairs, most_pairs, next_pairs
 from torchreg.site.scans import SiteScans
-from torchreg.site.sight import sight_of
 from torchreg.site.site_sight import SiteSight
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
@@ -73,7 +73,7 @@ class _Solver:
 
     def __post_init__(self) -> None:
         self.notes = ((),) * len(self.scans)
-        self.sight = SiteSight(lambda scan: sight_of(self._surfels(scan)), len(self.scans))
+        self.sight = SiteSight(self._panorama, len(self.scans))
 
     def solved(self) -> SiteResult:
         if self.plan.is_whole:
@@ -199,6 +199,10 @@ class _Solver:
         key = self._key(scan)
         surfels = None if key is None else self.work.described(key).surfels
         return surfels_of(_NOTHING, 1) if surfels is None else surfels
+
+    def _panorama(self, scan: int) -> Panorama | None:
+        key = self._key(scan)
+        return None if key is None else self.work.panorama(key)
 
     def _thinned(self) -> Sequence[Clouds]:
         return _Thinned(self)

@@ -19,6 +19,7 @@ from torchreg.registration.options import RegistrationOptions
 from torchreg.site import files
 from torchreg.site.files import FileItem, ScanItem, ScanSource, SeenScan, SketchItem, SliceItem
 from torchreg.site.pairs import DescriptionKey, Report, SitePair, SiteProgress, alike
+from torchreg.site.panorama import Panorama
 from torchreg.site.records import found_of_text, look_of_text
 from torchreg.site.result import TriedPair
 from torchreg.site.scans import SiteScans, site_scans
@@ -190,6 +191,10 @@ class StoredWork:
     def described(self, key: DescriptionKey) -> DescribedClouds:
         """As ``SiteWork``'s."""
         return files.described_scan(self._item(key), "cpu")
+
+    def panorama(self, key: DescriptionKey) -> Panorama | None:
+        """As ``SiteWork``'s."""
+        return files.panorama_of_scan(self._item(key))
 
     def _run(
         self, slices: Sequence[list[int]], pairs: Sequence[SitePair], seed: int

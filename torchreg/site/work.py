@@ -20,6 +20,7 @@ from torchreg.registration.register import register_described
 from torchreg.site.found import has_chance, is_worth_a_look, links_of, refined_link, weighed
 from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, Report, SitePair, SiteProgress, alike
+from torchreg.site.panorama import Panorama, panorama_of
 from torchreg.site.result import TriedPair
 from torchreg.site.sight import Sight, between, sight_of, witnessed_by
 from torchreg.site.sketches import Sketch, sketch_of
@@ -55,6 +56,9 @@ class SiteWork(Protocol):
 
     def described(self, key: DescriptionKey) -> DescribedClouds:
         """The described scan of a key, a batch of one."""
+
+    def panorama(self, key: DescriptionKey) -> Panorama | None:
+        """What the scanner of a scan saw; ``None`` where its place is not known."""
 
 
 Sides = Callable[[DescriptionKey], DescribedClouds]
@@ -146,14 +150,20 @@ class WorkInMemory:
         self._describe([key])
         return self._described[key]
 
+    def panorama(self, key: DescriptionKey) -> Panorama | None:
+        """As ``SiteWork``'s."""
+        return panorama_of(self._cloud(key))
+
+    def _cloud(self, key: DescriptionKey) -> Clouds:
+        cloud = self._clouds[key.scan]
+        return cloud if key.colored else replace(cloud, colors=None)
+
     def _describe(self, keys: Sequence[DescriptionKey]) -> None:
         missing = [key for key in dict.fromkeys(keys) if key not in self._described]
         total = len(self._described) + len(missing)
         for key in missing:
             self._report(SiteProgress("describe", len(self._described), total))
-            cloud = self._clouds[key.scan]
-            seen = cloud if key.colored else replace(cloud, colors=None)
-            self._described[key] = describe_by(seen, [key.description], max_bytes=self._max_bytes)
+            self._described[key] = describe_by(self._cloud(key), [key.description], max_bytes=self._max_bytes)
         if missing:
             self._report(SiteProgress("describe", total, total))
 
