@@ -148,7 +148,7 @@ class _Growth:
         beaten = all(
             _standing(first) - _standing(rival) >= _AHEAD and rival.level - first.level <= outvoted for rival in rivals
         )
-        if first.score + first.seen < 0 or not beaten:
+        if first.score + min(first.seen, 0.0) < 0 or not beaten:  # what was seen makes nothing likely alone
             refused.add((one, other))
             return False
         self._join(first.row, few, many, rows)
