@@ -6,8 +6,7 @@ from problems import room_site
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of
 from torchreg.refinement.surfels import surfels_of
-from torchreg.site.sight import between, learned_stations, seen_by, sight_of, witnessed_by
-from torchreg.site.site_sight import SiteSight
+from torchreg.site.sight import Stations, between, learned_stations, seen_by, sight_of, witnessed_by
 
 
 def sights(count=2):
@@ -59,12 +58,9 @@ def test_scanners_at_one_place_are_doubted_as_the_site_teaches():
     same, apart = torch.eye(4, dtype=torch.float64), compose(inverse(T[0]), T[1])
     assert between(a, a, same) == 0
     assert between(b, a, apart) == between(a, b, inverse(apart)) > 0
-    site = SiteSight(lambda scan: (a, b)[scan], 2)
-    before = site.odds(1, 0, apart)
-    site.stations = learned_stations([1.5] * 20)
-    assert site.odds(1, 0, apart) < before - 1.0  # a survey whose stations stand far apart
-    site.stations = learned_stations([0.01] * 20)
-    assert site.odds(1, 0, apart) >= before  # a camera that was carried about
+    far, near = learned_stations([1.5] * 20), learned_stations([0.01] * 20)
+    assert far.odds(0.1) < Stations().odds(0.1) - 1.0  # a survey whose stations stand far apart
+    assert near.odds(0.1) == 0.0 > near.odds(0.0)  # a camera that was carried about
     assert learned_stations([1.5] * 9) is None
 
 
@@ -72,10 +68,6 @@ def test_a_hidden_scan_says_nothing():
     (a, b), _ = sights()
     far = rigid(torch.eye(3, dtype=torch.float64), torch.tensor([0.0, 0.0, 100.0], dtype=torch.float64))
     assert witnessed_by(b, a, far) == 0.0
-    site = SiteSight(lambda scan: (a, b)[scan], 2)
-    assert site.odds(1, 0, far) == 0.0
-    assert site.has(1)
-    assert not site.has(2)  # the world
 
 
 def test_scans_whose_scanner_is_not_known_have_no_sight():

@@ -36,6 +36,7 @@ _DARK = 0.05  # added to the sum of the channels that tints are shares of
 _THROUGH, _USUAL = 1.0, 0.009  # weight of the share of points looked through, and the share that speaks neither way
 _COLOR, _OTHER = 0.3, 0.045  # likewise, of the mean difference of colors
 _TINT, _TINGED = 0.7, 0.0125  # and of tints
+_GRAIN = 1.0  # times the difference between neighboring rays: less does not speak against a pose
 _FOR, _AGAINST = 1.5, 4.0  # log-odds at most that ranges or colors speak for a pose, or against it
 
 
@@ -53,6 +54,8 @@ class Panorama(NamedTuple):
         seen: (C,) bool, whether there is one.
         points: (P, 3) float32, meters from the scanner, of points that other scanners are asked about.
         point_colors: (P, 3) uint8, or ``None``.
+        color_grain: mean difference of the channels of neighboring rays: what noise and texture make of one surface.
+        tint_grain: likewise of their shares of the sum.
     """
 
     scanner: Tensor
@@ -65,6 +68,8 @@ class Panorama(NamedTuple):
     seen: Tensor
     points: Tensor
     point_colors: Tensor | None
+    color_grain: float = 0.0
+    tint_grain: float = 0.0
 
 
 class Looked(NamedTuple):
@@ -122,10 +127,13 @@ def panorama_of(cloud: Clouds) -> Panorama | None:
     hits = torch.bincount(own, minlength=size)
     asked = _some(len(rows), _ASKED)
     colors = given = None
+    grain = (0.0, 0.0)
     if cloud.colors is not None:
         given = (cloud.colors[rows.to(cloud.colors.device)].cpu().clamp(0, 1) * _STEPS).round().long()
         sums = torch.zeros(size, 3, dtype=torch.int64).index_add_(0, own, given)
         colors = (sums / hits.clamp(min=1)[:, None]).round().to(torch.uint8)
+        pair = given[asked].double() / _STEPS, given[near[asked, 1]].double() / _STEPS
+        grain = _difference(*pair), _difference(*map(_tints, pair))
         given = given[asked].to(torch.uint8)
     return Panorama(
         scanner=(cloud.viewpoint[0].double() + cloud.origin[0]).cpu(),
@@ -138,6 +146,8 @@ def panorama_of(cloud: Clouds) -> Panorama | None:
         seen=hits > 0,
         points=away[asked].float(),
         point_colors=given,
+        color_grain=grain[0],
+        tint_grain=grain[1],
     )
 
 
@@ -171,7 +181,9 @@ def looked_at(source: Panorama, target: Panorama, T_target_source: Tensor) -> fl
     if colored:
         color = sum(view.color for view in colored) / len(colored)
         tint = sum(view.tint for view in colored) / len(colored)
-        speaks = _COLOR * math.log(_OTHER / max(color, 1e-6)) + _TINT * math.log(_TINGED / max(tint, 1e-6))
+        other = max(_OTHER, _GRAIN * max(source.color_grain, target.color_grain))
+        tinged = max(_TINGED, _GRAIN * max(source.tint_grain, target.tint_grain))
+        speaks = _COLOR * math.log(other / max(color, 1e-6)) + _TINT * math.log(tinged / max(tint, 1e-6))
         odds += clamped(speaks, most=_FOR, least=-_AGAINST)
     return odds
 
