@@ -1,0 +1,116 @@
+"""How records show themselves: a few lines of text, and a table in notebooks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from html import escape
+from typing import Any
+
+from torch import Tensor
+
+from torchreg.errors import describe
+from torchreg.types.held import Listed, Offsets, PerItem, PerRow, held_by
+
+_MOST_ROWS = 20  # of a table
+_MOST_NUMBERS = 3  # of an entry of a table: a place, not a matrix
+_MOST_NAMED = 4  # numbers of a line
+
+
+def text_of(record: Any, facts: Callable[[], Sequence[str]]) -> str:  # noqa: ANN401
+    """The class and its facts, line by line."""
+    name = type(record).__name__
+    lines = facts() if _is_readable(record) else ["; ".join(_kinds(record))]
+    return f"{name}(" + f",\n{' ' * (len(name) + 1)}".join(lines) + ")"
+
+
+def html_of(record: Any, facts: Callable[[], Sequence[str]]) -> str:  # noqa: ANN401
+    """The class and its facts above a table with a row per item, of what is a number, a place or a text."""
+    lines = text_of(record, facts).split("\n")
+    head = f"<strong>{escape(lines[0])}</strong>" + "".join(f"<br>{escape(line.strip())}" for line in lines[1:])
+    columns = dict(_columns(record)) if _is_readable(record) and hasattr(record, "noun") else {}
+    if not columns or len(record) == 0:
+        return f"<div>{head}</div>"
+    heads = "".join(f"<th>{escape(name)}</th>" for name in ("", *columns))
+    rows = "".join(
+        f"<tr><th>{number}</th>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+        for number, cells in enumerate(zip(*columns.values(), strict=True))
+        if number < _MOST_ROWS
+    )
+    more = f"<div>and {len(record) - _MOST_ROWS} more {record.noun}</div>" if len(record) > _MOST_ROWS else ""
+    table = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+    return f"<div>{head}</div>{table}{more}"
+
+
+def listed(values: Sequence[object]) -> str:
+    """The first few values in words, and how many there are if there are more."""
+    named = ", ".join(map(_number, values[:_MOST_NAMED]))
+    return named if len(values) <= _MOST_NAMED else f"{named} ... ({len(values)} in all)"
+
+
+def counted(values: Sequence[int]) -> str:
+    """Numbers of points or the like in words: of one, of a few, or from the least to the most."""
+    if len(values) > _MOST_NAMED:
+        return f"{min(values):,} to {max(values):,}"
+    return " + ".join(f"{value:,}" for value in values) or "no"
+
+
+def where(tensor: Tensor) -> str:
+    """Dtype and device of a tensor in words."""
+    return f"{str(tensor.dtype).removeprefix('torch.')} on {tensor.device}"
+
+
+def _is_readable(record: Any) -> bool:  # noqa: ANN401
+    """Whether all fields hold what they are declared with, and numbers that can be read.
+
+    Not so where a pytree was made of other leaves, on the meta device, and inside ``vmap`` and captured graphs.
+    """
+    for name, kind in held_by(type(record)).items():
+        value = getattr(record, name, None)
+        parts = value if isinstance(value, tuple) else (value,)
+        if isinstance(kind, (PerRow, Offsets, PerItem)):
+            for part in parts:
+                if part is None or hasattr(part, "moved") or (isinstance(part, Tensor) and _can_be_read(part)):
+                    continue
+                return False
+    return True
+
+
+def _can_be_read(tensor: Tensor) -> bool:
+    if tensor.device.type == "meta":
+        return False
+    try:
+        tensor.detach().flatten()[:1].tolist()
+    except RuntimeError:
+        return False
+    return True
+
+
+def _kinds(record: Any) -> Iterator[str]:  # noqa: ANN401
+    """What every field is that is not ``None``, without a look at numbers."""
+    for name in held_by(type(record)):
+        value = getattr(record, name, None)
+        if value is not None and value != ():
+            yield f"{name} {type(value).__name__ if hasattr(value, 'moved') else describe(value)}"
+
+
+def _columns(batch: Any) -> Iterator[tuple[str, list[str]]]:  # noqa: ANN401
+    """Of every field that has them, the entries of all items in words."""
+    for name, kind in held_by(type(batch)).items():
+        value = getattr(batch, name)
+        if isinstance(kind, Offsets):
+            yield name.replace("offsets", "rows").strip("_"), [f"{count:,}" for count in value.diff().tolist()]
+        elif isinstance(kind, PerItem) and isinstance(value, Tensor) and value[:1].numel() <= _MOST_NUMBERS:
+            yield name, [_number(entry) for entry in value.detach().tolist()]
+        elif isinstance(kind, PerItem) and hasattr(value, "lengths"):
+            yield f"{name} points", [f"{count:,}" for count in value.lengths]
+        elif isinstance(kind, Listed) and kind.shown:
+            yield name, ["" if thing is None else str(thing) for thing in value]
+
+
+def _number(value: object) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_number, value))
+    if isinstance(value, float):
+        return "-" if math.isnan(value) else f"{value:.4g}"
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
