@@ -40,7 +40,7 @@ from torchreg.preprocess import (
     random_downsample,
     voxel_downsample,
 )
-from torchreg.refinement import IcpOptions
+from torchreg.refinement import IcpOptions, IcpResult
 from torchreg.refinement.icp import icp
 from torchreg.registration import LEARNED, PAPER, derive_options, options_for
 from torchreg.registration.options import RegistrationOptions
@@ -81,6 +81,7 @@ __all__ = [
     "Fpfh",
     "HypothesisCounts",
     "IcpOptions",
+    "IcpResult",
     "Learned",
     "Neighborhoods",
     "Pcfh",

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_shape, fraction, positive
 from torchreg.geometry.rigid_check import expect_rigid
+from torchreg.types.record import Record
 
 
 def loose_covariance(shift: float, reach: float) -> Tensor:
@@ -23,7 +24,7 @@ def loose_covariance(shift: float, reach: float) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Link:
+class Link(Record):
     """A candidate for the pose of one scan in the frame of another.
 
     A pair of scans has any number of them, of which at most one is right. Turns, shifts and frames are those of

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import describe, expect, expect_shape
 from torchreg.types.held import Offsets, PerItem, PerRow, held
-from torchreg.types.packing import checked_offsets, spans
+from torchreg.types.packing import checked_offsets, offsets_of, spans
+from torchreg.types.padded import PaddedClouds, checked_lengths, pad, unpad
 from torchreg.types.record import PackedBatch
-from torchreg.types.shown import counted, listed, where
+from torchreg.types.shown import counted, listed, several, where
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,6 +91,71 @@ class Clouds(PackedBatch):
         """Whether the position of each scanner is known, (B,) bool: there is a viewpoint, and it is not a guess."""
         return self._has_viewpoint() & ~self.viewpoint_assumed
 
+    @staticmethod
+    def from_list(
+        points: Sequence[Tensor],
+        colors: Sequence[Tensor] | None = None,
+        normals: Sequence[Tensor] | None = None,
+    ) -> Clouds:
+        """Make a batch of the points of B clouds, each (P_b, 3), at the origin zero; gradients flow.
+
+        Args:
+            points: meters, one tensor per cloud, of one dtype and device.
+            colors: sRGB in [0, 1], one (P_b, 3) per cloud.
+            normals: of unit length, likewise.
+
+        Raises:
+            ValueError: no cloud, a tensor of another shape, dtype or device, or other numbers of rows than of points.
+
+        Example:
+            >>> Clouds.from_list([torch.rand(5, 3), torch.rand(2, 3)]).lengths
+            [5, 2]
+        """
+        points = list(points)
+        expect(len(points) > 0, "points", "at least one tensor (P, 3)", points)
+        expect_shape(points[0], "points[0]", ("P", 3), "floating")
+        return Clouds(
+            points=_cat_like("points", points, points),
+            offsets=offsets_of(map(len, points)),
+            colors=None if colors is None else _cat_like("colors", colors, points),
+            normals=None if normals is None else _cat_like("normals", normals, points),
+        )
+
+    @staticmethod
+    def from_padded(
+        points: Tensor, lengths: Tensor, colors: Tensor | None = None, normals: Tensor | None = None
+    ) -> Clouds:
+        """Make a batch of padded points (B, N, 3), of which cloud b has the first ``lengths[b]``; gradients flow.
+
+        Args:
+            points: meters; rows behind are ignored, whatever they hold.
+            lengths: (B,) whole numbers from 0 to N.
+            colors: (B, N, 3) sRGB in [0, 1].
+            normals: (B, N, 3) of unit length.
+
+        Raises:
+            ValueError: shapes that differ, or lengths without room.
+
+        Example:
+            >>> Clouds.from_padded(torch.rand(2, 7, 3), torch.tensor([7, 4])).lengths
+            [7, 4]
+        """
+        offsets = checked_lengths(lengths, points)
+        for name, values in (("colors", colors), ("normals", normals)):
+            if values is not None:
+                expect_shape(values, name, tuple(points.shape), points.dtype, points.device)
+        return Clouds(
+            points=unpad(points, offsets),
+            offsets=offsets,
+            colors=None if colors is None else unpad(colors, offsets),
+            normals=None if normals is None else unpad(normals, offsets),
+        )
+
+    def to_padded(self) -> PaddedClouds:
+        """Points, colors and normals as (B, N, 3), zero behind the last row of each cloud; gradients flow."""
+        more = (None if rows is None else pad(rows, self.offsets) for rows in (self.colors, self.normals))
+        return PaddedClouds(pad(self.points, self.offsets), self.offsets.diff().to(self.device), *more)
+
     def unpack(self) -> list[Clouds]:
         """The clouds as batches of one; their tensors are views."""
         return list(self)
@@ -119,7 +186,7 @@ class Clouds(PackedBatch):
         far = self.origin.abs().max(dim=0).values.tolist() if len(self) else []
         kept += ["origins far from zero"] if any(far) else []
         return (
-            f"{len(self)} {self.noun if len(self) != 1 else 'cloud'} of {counted(self.lengths)} points",
+            f"{several(len(self), self.noun)} of {counted(self.lengths)} points",
             ", ".join(kept) or "no colors, no normals, no viewpoint",
             where(self.points),
         )
@@ -129,3 +196,32 @@ class Clouds(PackedBatch):
         if self.viewpoint is None:
             return torch.zeros(len(self), dtype=torch.bool, device=self.device)
         return self.viewpoint.isfinite().all(dim=1)
+
+
+def expect_clouds(value: object, name: str) -> None:
+    """Check that an argument is ``Clouds``; the message says how they are made of what came.
+
+    Raises:
+        TypeError: anything else.
+    """
+    if not isinstance(value, Clouds):
+        made = next((text for kind, text in _MADE_OF if isinstance(value, kind)), "read_cloud(path)")
+        came = f"a tensor {describe(value)}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
+        raise TypeError(f"{name}: expected Clouds, such as {made}, got {came}")
+
+
+_MADE_OF: tuple[tuple[Any, str], ...] = (
+    (Tensor, "Clouds(points) of points (P, 3) in meters"),
+    (np.ndarray, "from_numpy(points) of points (P, 3) in meters"),
+    ((list, tuple), "Clouds.from_list(points) of tensors (P, 3) in meters"),
+)
+"""How clouds are made of what may come in their place."""
+
+
+def _cat_like(name: str, values: Sequence[Tensor], points: Sequence[Tensor]) -> Tensor:
+    """The rows of all clouds, as many as points of each, of the dtype and device of the first points."""
+    expect(len(values) == len(points), name, f"one tensor per cloud ({len(points)})", len(values))
+    first = points[0]
+    for b, (value, rows) in enumerate(zip(values, points, strict=True)):
+        expect_shape(value, f"{name}[{b}]", ("P" if value is rows else len(rows), 3), first.dtype, first.device)
+    return torch.cat(list(values))

@@ -13,7 +13,7 @@ from torchreg.errors import expect, expect_shape
 from torchreg.types.held import Held, Listed, Offsets, PerRow, bounds_of, held
 from torchreg.types.packing import checked_offsets, offsets_of, spans
 from torchreg.types.record import PackedBatch
-from torchreg.types.shown import counted, where
+from torchreg.types.shown import counted, several, where
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,7 +53,10 @@ class Correspondences(PackedBatch):
         return replace(self, source=self.source + next(shifts), target=self.target + next(shifts))
 
     def _facts(self) -> Sequence[str]:
-        return f"{counted(self.offsets.diff().tolist())} matches of {len(self)} pairs", f"scores {where(self.score)}"
+        return (
+            f"{counted(self.offsets.diff().tolist())} matches of {several(len(self), 'pairs')}",
+            f"scores {where(self.score)}",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +123,7 @@ class SoftCorrespondences(PackedBatch):
     def _facts(self) -> Sequence[str]:
         sizes = (tuple(matrix.shape) for matrix in self.confidence)
         return (
-            f"{len(self)} pairs of " + (", ".join(f"{rows:,} x {columns:,}" for rows, columns in sizes) or "no points"),
+            f"{several(len(self), 'pairs')} of "
+            + (", ".join(f"{rows:,} x {columns:,}" for rows, columns in sizes) or "no points"),
             *(where(matrix) for matrix in self.confidence[:1]),
         )

@@ -13,7 +13,7 @@ from torchreg.errors import expect, expect_shape
 from torchreg.types.held import Held, Offsets, PerRow, held
 from torchreg.types.packing import checked_offsets
 from torchreg.types.record import PackedBatch
-from torchreg.types.shown import counted, where
+from torchreg.types.shown import counted, several, where
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +48,7 @@ class Features(PackedBatch):
     def _facts(self) -> Sequence[str]:
         sizes, invalid = counted(self.offsets.diff().tolist()), len(self.values) - int(self.valid.sum())
         return (
-            f"{sizes} points of {len(self)} clouds, {invalid:,} invalid",
+            f"{sizes} points of {several(len(self), 'clouds')}, {invalid:,} invalid",
             " + ".join(f"{name} {width}" for name, width in self.blocks) or "no block",
             where(self.values),
         )

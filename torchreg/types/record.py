@@ -10,20 +10,15 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.types.collation import collated_by
 from torchreg.types.held import Change, held_by
 from torchreg.types.indexing import numbers_of
+from torchreg.types.loading import loadable
 from torchreg.types.pytrees import register_pytree
-from torchreg.types.shown import html_of, text_of
+from torchreg.types.shown import html_of, kinds_of, text_of
 
 AnyRecord = TypeVar("AnyRecord", bound="Record")
 AnyBatch = TypeVar("AnyBatch", bound="PackedBatch")
-AnyClass = TypeVar("AnyClass", bound=type)
-
-
-def loadable(kind: AnyClass) -> AnyClass:
-    """Let ``torch.load(..., weights_only=True)`` make objects of this class (a decorator)."""
-    torch.serialization.add_safe_globals([kind])
-    return kind
 
 
 class Record:
@@ -94,7 +89,7 @@ class Record:
 
     def _facts(self) -> Sequence[str]:
         """What ``repr`` says, line by line, three at most."""
-        return ()
+        return ("; ".join(kinds_of(self)),)
 
     def __repr__(self) -> str:
         return text_of(self, self._facts)
@@ -112,6 +107,10 @@ class PackedBatch(Record):
 
     noun: ClassVar[str] = "pairs"
     """What the items are, in the plural."""
+
+    def __init_subclass__(cls, **more: Any) -> None:  # noqa: ANN401
+        super().__init_subclass__(**more)
+        collated_by(f"{cls.__name__}.pack")(cls)
 
     @classmethod
     def pack(cls: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:

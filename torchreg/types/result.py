@@ -15,10 +15,12 @@ from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences, MatchesBetween
 from torchreg.types.failure import Failure
 from torchreg.types.held import Held, Listed, PerItem, PerRow, held, numbers
+from torchreg.types.loading import loadable
 from torchreg.types.record import PackedBatch
-from torchreg.types.shown import listed
+from torchreg.types.shown import listed, several
 
 
+@loadable
 class HypothesisCounts(NamedTuple):
     """How many hypotheses of every pair reached each step, (B,) int64 each.
 
@@ -136,7 +138,7 @@ class RegistrationResult(PackedBatch):
         refused = [f"pair {b}: {failure.kind}" for b, failure in enumerate(self.failure) if failure is not None]
         probability = "" if self.probability is None else f"probability {listed(self.probability.tolist())}; "
         return (
-            f"{len(self)} pairs, {int(self.success.sum())} registered, on {self.T_target_source.device}",
+            f"{several(len(self), 'pairs')}, {int(self.success.sum())} registered, on {self.T_target_source.device}",
             f"{probability}fitness {listed(self.fitness.tolist())}",
             f"refused: {listed(refused)}" if refused else "none refused",
         )

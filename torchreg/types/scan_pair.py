@@ -10,11 +10,13 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
+from torchreg.types.collation import collated_by
 from torchreg.types.held import Held, Listed, PerItem, held
 from torchreg.types.record import PackedBatch, Record
-from torchreg.types.shown import counted, listed, where
+from torchreg.types.shown import counted, listed, several, where
 
 
+@collated_by("torchreg.datasets.pack_pairs")
 @dataclass(frozen=True, eq=False, repr=False)
 class ScanPair(Record):
     """A source scan, a target scan and their true motion, which a registration should find.
@@ -106,7 +108,7 @@ class ScanPairBatch(PackedBatch):
     def _facts(self) -> Sequence[str]:
         known = int(self.has_truth.sum())
         return (
-            f"{len(self)} pairs: {listed(self.names)}",
+            f"{several(len(self), 'pairs')}: {listed(self.names)}",
             f"{counted(self.source.lengths)} and {counted(self.target.lengths)} points, true motion of {known} known",
             where(self.source.points),
         )

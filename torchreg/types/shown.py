@@ -9,7 +9,6 @@ from typing import Any
 
 from torch import Tensor
 
-from torchreg.errors import describe
 from torchreg.types.held import Listed, Offsets, PerItem, PerRow, held_by
 
 _MOST_ROWS = 20  # of a table
@@ -20,7 +19,7 @@ _MOST_NAMED = 4  # numbers of a line
 def text_of(record: Any, facts: Callable[[], Sequence[str]]) -> str:  # noqa: ANN401
     """The class and its facts, line by line."""
     name = type(record).__name__
-    lines = facts() if _is_readable(record) else ["; ".join(_kinds(record))]
+    lines = facts() if _is_readable(record) else ["; ".join(kinds_of(record))]
     return f"{name}(" + f",\n{' ' * (len(name) + 1)}".join(lines) + ")"
 
 
@@ -40,6 +39,21 @@ def html_of(record: Any, facts: Callable[[], Sequence[str]]) -> str:  # noqa: AN
     more = f"<div>and {len(record) - _MOST_ROWS} more {record.noun}</div>" if len(record) > _MOST_ROWS else ""
     table = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
     return f"<div>{head}</div>{table}{more}"
+
+
+def kinds_of(record: Any) -> Iterator[str]:  # noqa: ANN401
+    """The shapes of the tensors of a record, and where they are, without a look at numbers."""
+    for name in held_by(type(record)):
+        value = getattr(record, name, None)
+        if isinstance(value, Tensor):
+            yield f"{name} {tuple(value.shape)} on {value.device}"
+        elif value is not None and value != ():
+            yield f"{name} {type(value).__name__}"
+
+
+def several(count: int, noun: str) -> str:
+    """So many things; ``noun`` in the plural."""
+    return f"{count} {noun[:-1] if count == 1 else noun}"
 
 
 def listed(values: Sequence[object]) -> str:
@@ -84,14 +98,6 @@ def _can_be_read(tensor: Tensor) -> bool:
     except RuntimeError:
         return False
     return True
-
-
-def _kinds(record: Any) -> Iterator[str]:  # noqa: ANN401
-    """What every field is that is not ``None``, without a look at numbers."""
-    for name in held_by(type(record)):
-        value = getattr(record, name, None)
-        if value is not None and value != ():
-            yield f"{name} {type(value).__name__ if hasattr(value, 'moved') else describe(value)}"
 
 
 def _columns(batch: Any) -> Iterator[tuple[str, list[str]]]:  # noqa: ANN401

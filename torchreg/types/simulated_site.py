@@ -12,7 +12,7 @@ from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
 from torchreg.types.held import Held, PerItem, held
 from torchreg.types.record import Record
-from torchreg.types.shown import counted, listed
+from torchreg.types.shown import counted, listed, several
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,7 +46,7 @@ class SimulatedSite(Record):
 
     def _facts(self) -> Sequence[str]:
         points = counted([len(scan.points) for scan in self.scans])
-        return f"{self.name!r}, {len(self)} scans of {points} points", f"stations {listed(self.stations)}"
+        return f"{self.name!r}, {several(len(self), 'scans')} of {points} points", f"stations {listed(self.stations)}"
 
     def __len__(self) -> int:
         """The number of scans, N."""

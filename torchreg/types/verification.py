@@ -15,7 +15,7 @@ from torchreg.types.failure import Failure
 from torchreg.types.held import Listed, PerItem, held, numbers
 from torchreg.types.record import PackedBatch
 from torchreg.types.result import RegistrationResult
-from torchreg.types.shown import listed
+from torchreg.types.shown import listed, several
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,7 +119,7 @@ class Verification(PackedBatch):
     def _facts(self) -> Sequence[str]:
         refused = [f"pair {b}: {failure.kind}" for b, failure in enumerate(self.failure) if failure is not None]
         return (
-            f"{len(self)} transforms, {int(self.success.sum())} held to be right, on {self.T_target_source.device}",
+            f"{several(len(self), 'transforms')}, {int(self.success.sum())} held to be right",
             f"probability {listed(self.probability.tolist())}; overlap {listed(self.overlap.tolist())}",
             f"refused: {listed(refused)}" if refused else "none refused",
         )
