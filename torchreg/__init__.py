@@ -25,10 +25,16 @@ from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
 from torchreg.io import (
+    from_numpy,
     from_open3d,
+    from_pyg,
+    from_pytorch3d,
     read_cloud,
     read_scans,
+    to_numpy,
     to_open3d,
+    to_pyg,
+    to_pytorch3d,
     write_cloud,
 )
 from torchreg.matching import match_mutual, soft_match
@@ -103,7 +109,10 @@ __all__ = [
     "estimate_normals",
     "farthest_point_downsample",
     "fpfh",
+    "from_numpy",
     "from_open3d",
+    "from_pyg",
+    "from_pytorch3d",
     "fuse",
     "icp",
     "kabsch",
@@ -127,7 +136,10 @@ __all__ = [
     "soft_match",
     "spacing",
     "synthetic",
+    "to_numpy",
     "to_open3d",
+    "to_pyg",
+    "to_pytorch3d",
     "transform",
     "verify",
     "voxel_downsample",
