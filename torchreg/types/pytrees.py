@@ -52,7 +52,7 @@ def _flatten_with_keys(record: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, .
             structure.append(value is not None)
         else:
             tensors, rest = _split(value)
-            children += [(pytree.GetAttrKey(f"{name}.{place}"), tensor) for place, tensor in enumerate(tensors)]
+            children += [(pytree.GetAttrKey(name + path), tensor) for path, tensor in tensors]
             structure.append(rest)
     return children, tuple(structure)
 
@@ -82,14 +82,14 @@ def _unflatten(kind: type, children: Any, structure: tuple[Any, ...]) -> Any:  #
     return record
 
 
-def _split(value: Any) -> tuple[list[Tensor], Any]:  # noqa: ANN401
-    """The tensors of a value, and the value or what is left of it."""
-    leaves, spec = pytree.tree_flatten(value)
-    places = tuple(place for place, leaf in enumerate(leaves) if isinstance(leaf, Tensor))
+def _split(value: Any) -> tuple[list[tuple[str, Tensor]], Any]:  # noqa: ANN401
+    """The tensors of a value, each with its place as a text, and the value or what is left of it."""
+    named, spec = pytree.tree_flatten_with_path(value)
+    places = tuple(place for place, (_, leaf) in enumerate(named) if isinstance(leaf, Tensor))
     if not places:
         return [], value
-    rest = tuple(None if isinstance(leaf, Tensor) else leaf for leaf in leaves)
-    return [leaves[place] for place in places], Hollow(spec, rest, places)
+    rest = tuple(None if isinstance(leaf, Tensor) else leaf for _, leaf in named)
+    return [(pytree.keystr(named[place][0]), named[place][1]) for place in places], Hollow(spec, rest, places)
 
 
 def _tuples(value: Any) -> Any:  # noqa: ANN401

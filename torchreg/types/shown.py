@@ -9,17 +9,26 @@ from typing import Any
 
 from torch import Tensor
 
-from torchreg.types.held import Listed, Offsets, PerItem, PerRow, held_by
+from torchreg.types.held import Listed, Offsets, PerItem, held_by
 
 _MOST_ROWS = 20  # of a table
 _MOST_NUMBERS = 3  # of an entry of a table: a place, not a matrix
 _MOST_NAMED = 4  # numbers of a line
 
+_UNREADABLE = (AttributeError, RuntimeError, TypeError, ValueError)
+"""What reading numbers raises that are not there."""
+
 
 def text_of(record: Any, facts: Callable[[], Sequence[str]]) -> str:  # noqa: ANN401
-    """The class and its facts, line by line."""
+    """The class and its facts, line by line; the shapes alone where there are no numbers to read.
+
+    Such as on the meta device, while a graph is captured, and where a pytree was made of other leaves than tensors.
+    """
     name = type(record).__name__
-    lines = facts() if _is_readable(record) else ["; ".join(kinds_of(record))]
+    try:
+        lines = facts()
+    except _UNREADABLE:
+        lines = ["; ".join(kinds_of(record))]
     return f"{name}(" + f",\n{' ' * (len(name) + 1)}".join(lines) + ")"
 
 
@@ -27,7 +36,10 @@ def html_of(record: Any, facts: Callable[[], Sequence[str]]) -> str:  # noqa: AN
     """The class and its facts above a table with a row per item, of what is a number, a place or a text."""
     lines = text_of(record, facts).split("\n")
     head = f"<strong>{escape(lines[0])}</strong>" + "".join(f"<br>{escape(line.strip())}" for line in lines[1:])
-    columns = dict(_columns(record)) if _is_readable(record) and hasattr(record, "noun") else {}
+    try:
+        columns = dict(_columns(record)) if hasattr(record, "noun") else {}
+    except _UNREADABLE:
+        columns = {}
     if not columns or len(record) == 0:
         return f"<div>{head}</div>"
     heads = "".join(f"<th>{escape(name)}</th>" for name in ("", *columns))
@@ -72,32 +84,6 @@ def counted(values: Sequence[int]) -> str:
 def where(tensor: Tensor) -> str:
     """Dtype and device of a tensor in words."""
     return f"{str(tensor.dtype).removeprefix('torch.')} on {tensor.device}"
-
-
-def _is_readable(record: Any) -> bool:  # noqa: ANN401
-    """Whether all fields hold what they are declared with, and numbers that can be read.
-
-    Not so where a pytree was made of other leaves, on the meta device, and inside ``vmap`` and captured graphs.
-    """
-    for name, kind in held_by(type(record)).items():
-        value = getattr(record, name, None)
-        parts = value if isinstance(value, tuple) else (value,)
-        if isinstance(kind, (PerRow, Offsets, PerItem)):
-            for part in parts:
-                if part is None or hasattr(part, "moved") or (isinstance(part, Tensor) and _can_be_read(part)):
-                    continue
-                return False
-    return True
-
-
-def _can_be_read(tensor: Tensor) -> bool:
-    if tensor.device.type == "meta":
-        return False
-    try:
-        tensor.detach().flatten()[:1].tolist()
-    except RuntimeError:
-        return False
-    return True
 
 
 def _columns(batch: Any) -> Iterator[tuple[str, list[str]]]:  # noqa: ANN401
