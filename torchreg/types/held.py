@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from functools import cache
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -173,12 +172,12 @@ def numbers(*size: int) -> PerItem:
 
 def held_by(kind: type) -> dict[str, Held]:
     """What the fields of a class hold, by name, in order; a field that is not declared is shared by all items."""
-    return _held_by(kind)
+    if kind not in _HELD_BY:  # a plain dictionary, which torch.compile can look into
+        _HELD_BY[kind] = {each.name: each.metadata.get(_MARK, Held()) for each in fields(kind)}
+    return _HELD_BY[kind]
 
 
-@cache  # whose type takes no dataclass
-def _held_by(kind: type) -> dict[str, Held]:
-    return {each.name: each.metadata.get(_MARK, Held()) for each in fields(kind)}
+_HELD_BY: dict[type, dict[str, Held]] = {}
 
 
 def offsets_in(batch: Any, name: str) -> Tensor:  # noqa: ANN401
