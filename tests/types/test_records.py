@@ -3,7 +3,9 @@
 import copy
 import io
 import pickle
+import re
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -237,3 +239,19 @@ def test_the_fields_of_a_type_are_declared_where_they_hold_tensors():
             value = getattr(RECORDS[kind], each.name)
             if isinstance(value, Tensor) or is_dataclass(value):
                 assert "held" in each.metadata, (kind, each.name)
+
+
+def test_a_type_of_ones_own_has_all_manners_by_what_its_fields_say():
+    page = (Path(__file__).parents[2] / "docs" / "types.md").read_text()
+    (code,) = [
+        block for block in re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE) if "Labels" in block
+    ]
+    names = {"torch": torch, "__name__": "made_here"}
+    exec(code, names)
+    one = names["Labels"](torch.arange(5), torch.tensor([0, 2, 5]), torch.tensor([0.5, 1.0]), ("a", "b"))
+    assert one[1].classes.tolist() == [2, 3, 4]
+    assert one[[1, 0]].names == ("b", "a")
+    assert same_bits(names["Labels"].pack(list(one)), one)
+    assert one.to(torch.float64).weight.dtype == torch.float64
+    assert same_bits(pytree.tree_map(torch.clone, one), one)
+    assert "<td>b</td>" in one._repr_html_()
