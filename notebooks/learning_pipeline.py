@@ -91,9 +91,8 @@ def described(table: Path) -> list[Described]:
     result = []
     for batch in loader(table):
         moved = tr.transform(batch.source, batch.T_target_source)
-        for a, b, source, target in zip(
-            moved, batch.target, describe(batch.source), describe(batch.target), strict=True
-        ):
+        sides = moved, batch.target, describe(batch.source), describe(batch.target)
+        for a, b, source, target in zip(*sides, strict=True):
             # in the target's own numbers: with large coordinates, origins differ by what float32 would lose
             apart = torch.cdist((a.points + (a.origin - b.origin)).float(), b.points)  # (P, Q), meters
             distance, partner = apart.min(dim=1)
