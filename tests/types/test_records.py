@@ -17,11 +17,9 @@ from torch.utils import _pytree as pytree
 
 import torchreg as tr
 from torchreg.datasets import ScanPairBatch
-from torchreg.site.links import Link
-from torchreg.site.result import SiteResult
 
 RECORDS = records()
-WITHOUT_LINKS = [kind for kind in RECORDS if kind not in (Link, SiteResult)]  # which read their numbers when made
+
 every_kind = pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
 every_batch = pytest.mark.parametrize("kind", BATCHES, ids=lambda kind: kind.__name__)
 
@@ -102,7 +100,7 @@ def test_leaves_may_be_anything(kind):
     assert repr(emptied)
 
 
-@pytest.mark.parametrize("kind", WITHOUT_LINKS, ids=lambda kind: kind.__name__)
+@every_kind
 def test_to_moves_all_but_the_offsets(kind):
     moved = RECORDS[kind].to("meta")
     assert {leaf.device.type for key, leaf in tensors_of(moved).items() if not is_offsets(key)} == {"meta"}

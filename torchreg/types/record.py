@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar, TypeVar
 
 import torch
@@ -36,9 +35,14 @@ class Record:
         type(self).__init__(self, **state)
 
     def moved(self: AnyRecord, change: Change) -> AnyRecord:
-        """The record with every tensor but offsets changed by a function, which gets to know whether its dtype may."""
-        changed = {name: held.moved(getattr(self, name), change) for name, held in held_by(type(self)).items()}
-        return replace(self, **changed)  # type: ignore[type-var]
+        """The record with every tensor but offsets changed by a function, which gets to know whether its dtype may.
+
+        Numbers are not read: a copy that is not waited for may not be there yet.
+        """
+        made = object.__new__(type(self))
+        for name, held in held_by(type(self)).items():
+            object.__setattr__(made, name, held.moved(getattr(self, name), change))
+        return made
 
     def to(
         self: AnyRecord,
