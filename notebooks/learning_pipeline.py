@@ -19,7 +19,7 @@ from torch.nn.functional import cross_entropy, normalize
 from torch.utils.data import DataLoader
 
 import torchreg as tr
-from torchreg.datasets import ScanPair, ScanPairBatch, ScanPairs, mall, pack_pairs
+from torchreg.datasets import ScanPair, ScanPairs, mall, pack_pairs
 
 VOXEL = 0.4  # meters; every other length follows from it
 TRAINING, HELD_OUT = range(4), range(4, 6)  # seeds of simulated halls
@@ -52,7 +52,7 @@ def write_pairs(folder: Path, seeds: range) -> Path:
 # ## From the table to batches
 #
 # Workers read the files and thin them; `pack_pairs` joins what they read. On a GPU, `pin_memory=True` and
-# `batch.to("cuda")` are the two further words.
+# `batch.to("cuda", non_blocking=True)` are the two further words.
 
 
 # %%
@@ -64,6 +64,8 @@ def loader(table: Path) -> DataLoader[ScanPair]:
 
 # %% [markdown]
 # ## Features of a whole batch at once
+#
+# Batches of clouds and of features are iterated cloud by cloud.
 
 
 # %%
@@ -77,30 +79,25 @@ class Described:
     near: Tensor  # (M, Q) bool, all target points within two voxels under the true motion
 
 
-def describe(clouds: tr.Clouds) -> list[Tensor]:
-    """Fused features (P, 44) of every cloud of a batch."""
+def describe(clouds: tr.Clouds) -> tr.Features:
+    """Fused features of all clouds of a batch, (P, 44)."""
     near = tr.neighbors(clouds, radius=5 * VOXEL, max_neighbors=100)
     clouds = tr.estimate_normals(clouds, near.restrict(2 * VOXEL, 30))
-    features = tr.fuse(tr.fpfh(clouds, near), tr.pcfh(clouds, near))
-    return list(features.values.split(clouds.lengths))
-
-
-def distances(batch: ScanPairBatch) -> list[Tensor]:
-    """Meters (P, Q) between the points of every pair under its true motion."""
-    moved = tr.transform(batch.source, batch.T_target_source)
-    sides = zip(moved.unpack(), batch.target.unpack(), strict=True)
-    # in the target's own numbers: with large coordinates, origins differ by what float32 would lose
-    return [torch.cdist((a.points + (a.origin - b.origin)).float(), b.points) for a, b in sides]
+    return tr.fuse(tr.fpfh(clouds, near), tr.pcfh(clouds, near))
 
 
 def described(table: Path) -> list[Described]:
     """All pairs of a table. They are described once here; with augmentation, this belongs into every epoch."""
     result = []
     for batch in loader(table):
-        for source, target, apart in zip(describe(batch.source), describe(batch.target), distances(batch), strict=True):
+        moved = tr.transform(batch.source, batch.T_target_source)
+        sides = moved, batch.target, describe(batch.source), describe(batch.target)
+        for a, b, source, target in zip(*sides, strict=True):
+            # in the target's own numbers: with large coordinates, origins differ by what float32 would lose
+            apart = torch.cdist((a.points + (a.origin - b.origin)).float(), b.points)  # (P, Q), meters
             distance, partner = apart.min(dim=1)
             has = distance < VOXEL
-            result.append(Described(source[has], target, partner[has], apart[has] < 2 * VOXEL))
+            result.append(Described(source.values[has], target.values, partner[has], apart[has] < 2 * VOXEL))
     return result
 
 

@@ -43,7 +43,7 @@ def same_bits(left: Any, right: Any, *, ignore: tuple[str, ...] = ()) -> bool:
         return len(left) == len(right) and all(
             same_bits(one, other, ignore=ignore) for one, other in zip(left, right, strict=True)
         )
-    return left == right
+    return left == right or (left != left and right != right)  # NaN
 
 
 def _same_tensors(left: Tensor, right: Tensor) -> bool:

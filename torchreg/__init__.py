@@ -25,10 +25,16 @@ from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
 from torchreg.io import (
+    from_numpy,
     from_open3d,
+    from_pyg,
+    from_pytorch3d,
     read_cloud,
     read_scans,
+    to_numpy,
     to_open3d,
+    to_pyg,
+    to_pytorch3d,
     write_cloud,
 )
 from torchreg.matching import match_mutual, soft_match
@@ -40,7 +46,7 @@ from torchreg.preprocess import (
     random_downsample,
     voxel_downsample,
 )
-from torchreg.refinement import IcpOptions
+from torchreg.refinement import IcpOptions, IcpResult
 from torchreg.refinement.icp import icp
 from torchreg.registration import LEARNED, PAPER, derive_options, options_for
 from torchreg.registration.options import RegistrationOptions
@@ -81,6 +87,7 @@ __all__ = [
     "Fpfh",
     "HypothesisCounts",
     "IcpOptions",
+    "IcpResult",
     "Learned",
     "Neighborhoods",
     "Pcfh",
@@ -102,7 +109,10 @@ __all__ = [
     "estimate_normals",
     "farthest_point_downsample",
     "fpfh",
+    "from_numpy",
     "from_open3d",
+    "from_pyg",
+    "from_pytorch3d",
     "fuse",
     "icp",
     "kabsch",
@@ -126,7 +136,10 @@ __all__ = [
     "soft_match",
     "spacing",
     "synthetic",
+    "to_numpy",
     "to_open3d",
+    "to_pyg",
+    "to_pytorch3d",
     "transform",
     "verify",
     "voxel_downsample",

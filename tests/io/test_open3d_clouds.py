@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from determinism import same_bits
 
 from torchreg import open3d_loader
 from torchreg.io import from_open3d, to_open3d
@@ -123,3 +124,14 @@ def test_a_missing_open3d_says_what_to_install(monkeypatch):
         load_open3d()
     monkeypatch.undo()
     assert load_open3d() is load_open3d()
+
+
+@pytest.mark.parametrize("shift", [np.zeros(3), UTM])
+def test_a_tensor_cloud_there_and_back(shift):
+    points, colors, normals = arrays()
+    cloud = from_open3d(legacy(points + shift, colors, normals))
+    made = to_open3d(cloud, tensor=True)
+    assert hasattr(made, "point")
+    np.testing.assert_allclose(made.point["positions"].numpy(), points + shift, atol=1e-6, rtol=0)
+    assert same_bits(from_open3d(made), cloud)
+    assert list(to_open3d(Clouds(torch.from_numpy(points)), tensor=True).point) == ["positions"]

@@ -190,5 +190,5 @@ def test_a_result_checks_its_shapes():
         replace(good, T_target_source=EYE)
     with refuses("fitness"):
         replace(good, fitness=good.fitness.float())
-    with refuses("reason"):
+    with refuses("failure", "one or None per pair (1)"):
         IcpResult(good.T_target_source, good.fitness, good.inlier_rmse, good.iterations, good.converged, ())

@@ -41,7 +41,7 @@ def test_pairs_are_counted():
         ({"inlier_rmse": torch.zeros(1)}, "inlier_rmse", ["float64", "float32"]),
         ({"success": torch.zeros(2, dtype=torch.bool)}, "success", ["(1,)", "(2,)"]),
         ({"success": torch.zeros(1)}, "success", ["bool", "float32"]),
-        ({"failure": ()}, "failure", ["one or None per pair (1)", "()"]),
+        ({"failure": ()}, "failure", ["one or None per pair (1)", "0"]),
         ({"source": tr.Clouds.pack([CLOUD, CLOUD])}, "source", ["one cloud per pair (1)", "2"]),
         ({"target": tr.Clouds.pack([CLOUD, CLOUD])}, "target", ["one cloud per pair (1)", "2"]),
         ({"hypotheses": tr.HypothesisCounts(COUNT, torch.zeros(2), COUNT)}, "hypotheses.kept", ["(1,)", "(2,)"]),

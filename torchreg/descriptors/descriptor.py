@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from torch import Tensor
 
 from torchreg.errors import at_least, positive
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.lengths import length, scaled
+from torchreg.types.loading import loadable
 
 AnyDescriptor = TypeVar("AnyDescriptor", bound="Descriptor")
 
@@ -61,6 +62,11 @@ class Descriptor(ABC):
 
     radius: float = length()
     max_neighbors: int = 100
+
+    def __init_subclass__(cls, **more: Any) -> None:  # noqa: ANN401
+        """Let results that hold such a record be loaded by ``torch.load`` as they are."""
+        super().__init_subclass__(**more)
+        loadable(cls)
 
     def __post_init__(self) -> None:
         positive(self.radius, "radius")

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from torchreg.errors import expect
-from torchreg.io.assemble import RawCloud, assemble, checked_dtype, scale_colors
-from torchreg.io.placement import Viewpoint, checked_viewpoint
+from torchreg.io.numpy_clouds import cloud_of_arrays, to_numpy
+from torchreg.io.placement import Viewpoint
 from torchreg.open3d_loader import load_open3d
 from torchreg.types import Clouds
 
@@ -37,19 +37,15 @@ def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype =
         >>> from_open3d(pcd).lengths
         [5]
     """
-    wanted, dtype = checked_viewpoint(viewpoint), checked_dtype(dtype)
-    points, colors, normals = _arrays(pcd)
-    expect(len(points) > 0, "pcd", "at least one point", "none")
-    bad = int((~np.isfinite(points).all(axis=1)).sum())
-    expect(bad == 0, "pcd", "finite points", f"{bad} of {len(points)} with NaN or infinity")
-    usable = colors is None or scale_colors(colors).values is not None
-    expect(usable, "pcd", "colors from 0 to 1, or of 8 or 16 bits", "others")
-    raw = RawCloud(name="pcd", format="open3d", points=points, colors=colors, normals=normals)
-    return assemble(raw, wanted, dtype).cloud
+    return cloud_of_arrays("pcd", "open3d", *_arrays(pcd), viewpoint=viewpoint, dtype=dtype)
 
 
-def to_open3d(cloud: Clouds) -> Any:  # noqa: ANN401
+def to_open3d(cloud: Clouds, *, tensor: bool = False) -> Any:  # noqa: ANN401
     """Make an ``open3d.geometry.PointCloud`` of one cloud, its origin added, in float64.
+
+    Args:
+        cloud: a batch of one.
+        tensor: make an ``open3d.t.geometry.PointCloud`` instead, likewise.
 
     Raises:
         ValueError: a batch of several clouds.
@@ -59,18 +55,21 @@ def to_open3d(cloud: Clouds) -> Any:  # noqa: ANN401
         >>> len(to_open3d(Clouds(torch.rand(5, 3))).points)
         5
     """
-    expect(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
-    o3d = load_open3d()
-    wide = cloud.to(device="cpu", dtype=torch.float64)
-    pcd = o3d.geometry.PointCloud()
-    for name, values in (("points", wide.points + wide.origin), ("colors", wide.colors), ("normals", wide.normals)):
-        if values is not None:
-            setattr(pcd, name, o3d.utility.Vector3dVector(values.detach().numpy()))
-    return pcd
+    arrays, o3d = to_numpy(cloud), load_open3d()
+    there = {name: values.astype(np.float64) for name, values in arrays._asdict().items() if values is not None}
+    if tensor:
+        made = o3d.t.geometry.PointCloud()
+        for name, values in there.items():
+            made.point["positions" if name == "points" else name] = o3d.core.Tensor(values)
+        return made
+    made = o3d.geometry.PointCloud()
+    for name, values in there.items():
+        setattr(made, name, o3d.utility.Vector3dVector(values))
+    return made
 
 
 def _arrays(pcd: Any) -> tuple[_Array, _Array | None, _Array | None]:  # noqa: ANN401
-    """Points (N, 3) float64, colors (N, 3) of any dtype, normals (N, 3) float64; legacy or tensor cloud."""
+    """Points, colors and normals, (N, 3) of any dtype; legacy or tensor cloud."""
     if hasattr(pcd, "has_colors") and hasattr(pcd, "points"):
         colors = np.array(pcd.colors) if pcd.has_colors() else None
         return np.array(pcd.points), colors, np.array(pcd.normals) if pcd.has_normals() else None
@@ -78,7 +77,4 @@ def _arrays(pcd: Any) -> tuple[_Array, _Array | None, _Array | None]:  # noqa: A
     keys = ("positions", "colors", "normals")
     arrays = {key: pcd.point[key].cpu().numpy() for key in keys if key in pcd.point}
     expect("positions" in arrays, "pcd", "at least one point", "none")
-    for key, values in arrays.items():
-        expect(values.shape == (len(values), 3), "pcd", f"{key} (N, 3)", values.shape)
-    normals = arrays["normals"].astype(np.float64) if "normals" in arrays else None
-    return arrays["positions"].astype(np.float64), arrays.get("colors"), normals
+    return arrays["positions"], arrays.get("colors"), arrays.get("normals")

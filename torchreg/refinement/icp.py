@@ -21,7 +21,7 @@ from torchreg.refinement.loop import State
 from torchreg.refinement.options import KINDS, IcpOptions
 from torchreg.refinement.pairing import Pairing, among, centered_frames, enter, leave
 from torchreg.refinement.result import IcpResult
-from torchreg.types import Clouds
+from torchreg.types import Clouds, Failure
 
 _SHARED_POINTS = 20_000
 """Source points from which threads share the pairs: 5 pairs of 600 points take twice as long on two as on one."""
@@ -49,9 +49,9 @@ def icp(
         options: for all pairs, or one per pair; ``None`` is ``IcpOptions()``.
 
     Returns:
-        IcpResult. A pair fails as data, with a reason: points, normals, colors or a transform that are not finite,
-        an empty cloud, no correspondences, correspondences that do not determine the motion. No gradients flow: inputs
-        are detached.
+        IcpResult. A pair fails as data, with its ``failure``: points, normals, colors or a transform that are not
+        finite, an empty cloud, no correspondences, correspondences that do not determine the motion. No gradients flow:
+        inputs are detached.
 
     Raises:
         ValueError: sizes, dtypes or devices do not fit; normals or colors are missing.
@@ -122,15 +122,23 @@ def refine_pairs(
         inlier_rmse=state.inlier_rmse,
         iterations=torch.tensor(state.iterations, dtype=torch.int64, device=T.device),
         converged=torch.tensor(state.converged, dtype=torch.bool, device=T.device),
-        reason=tuple(
-            failed or ("" if converged else f"still moving after {option.steps[-1].iterations} iterations")
+        failure=tuple(
+            failed or (None if converged else _still_moving(option.steps[-1].iterations))
             for failed, converged, option in zip(state.failed, state.converged, options, strict=True)
         ),
     )
 
 
+def _still_moving(iterations: int) -> Failure:
+    return Failure("not converged", f"still moving after {iterations} iterations", {"iterations": iterations})
+
+
 def _groups(
-    options: Sequence[IcpOptions], failed: Sequence[str], pairing: Pairing, sizes: Sequence[int], workers: int
+    options: Sequence[IcpOptions],
+    failed: Sequence[Failure | None],
+    pairing: Pairing,
+    sizes: Sequence[int],
+    workers: int,
 ) -> list[list[int]]:
     """The pairs that can start, alike in kind, kernel and number of levels, in groups of about equal size.
 
@@ -159,7 +167,7 @@ def _refine(
 ) -> tuple[Tensor, State]:
     """Transforms (B, 4, 4) and states of the pairs of one batch."""
     frames = centered_frames(source, target, pairing)
-    state = State.start(T, [""] * len(T))
+    state = State.start(T, [None] * len(T))
     state.rotation[:], state.translation[:] = enter(frames, T)
     refine_levels(source, target, pairing, frames, options, state)
     updated = torch.tensor([count > 0 for count in state.iterations], device=T.device)[:, None, None]
@@ -178,34 +186,36 @@ def _per_pair(options: IcpOptions | Sequence[IcpOptions] | None, pairs: int) -> 
     return listed
 
 
-def _defects(source: Clouds, target: Clouds, pairing: Pairing, T: Tensor, options: Sequence[IcpOptions]) -> list[str]:
-    """Why every pair cannot start, empty where it can."""
+def _defects(
+    source: Clouds, target: Clouds, pairing: Pairing, T: Tensor, options: Sequence[IcpOptions]
+) -> list[Failure | None]:
+    """Why every pair cannot start, ``None`` where it can."""
     finite = torch.isfinite(T).all(dim=2).all(dim=1).tolist()
     R = T[:, :3, :3]
     square = apply_rotation(R[:, None], R)  # (B, 3, 3): R R^T, transposed
     unit = ((square - torch.eye(3, dtype=T.dtype, device=T.device)).abs() < _RIGID).all(dim=2).all(dim=1)
     rigid = (unit & (T[:, 3] == T.new_tensor([0.0, 0.0, 0.0, 1.0])).all(dim=1)).tolist()
     defect = cache(partial(_defect, source, target))
-    defects = []
+    defects: list[Failure | None] = []
     for b, (one, other, option) in enumerate(zip(*pairing, options, strict=True)):
         if not finite[b]:
-            defects.append("the transform to start from is not finite")
+            defects.append(Failure("not finite", "the transform to start from is not finite"))
         elif not rigid[b]:
-            defects.append("the transform to start from is not rigid")
+            defects.append(Failure("not rigid", "the transform to start from is not rigid"))
         else:
             defects.append(defect("source", one, option.kind) or defect("target", other, option.kind))
     return defects
 
 
-def _defect(source: Clouds, target: Clouds, side: str, number: int, kind: str) -> str:
-    """Why one cloud of a side cannot be refined by a kind of ICP, empty where it can."""
+def _defect(source: Clouds, target: Clouds, side: str, number: int, kind: str) -> Failure | None:
+    """Why one cloud of a side cannot be refined by a kind of ICP, ``None`` where it can."""
     clouds = source if side == "source" else target
     begin, end = clouds.offsets[number : number + 2].tolist()
     if begin == end:
-        return f"the {side} is empty"
+        return Failure("too few points", f"the {side} is empty")
     needed = {"points": clouds.points[begin:end], "origin": clouds.origin[number]}
     needed |= {name: getattr(clouds, name)[begin:end] for of_side, name in KINDS[kind].needs if of_side == side}
     for name, values in needed.items():
         if not bool((values.abs() < _LARGEST).all()):
-            return f"the {side} has {name} that are not finite"
-    return ""
+            return Failure("not finite", f"the {side} has {name} that are not finite")
+    return None

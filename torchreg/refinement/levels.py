@@ -18,7 +18,7 @@ from torchreg.refinement.loop import ActivePairs, Criteria, State, iterate
 from torchreg.refinement.options import KINDS, IcpLevel, IcpOptions
 from torchreg.refinement.pairing import Frames, Pairing, among, numbered
 from torchreg.refinement.tree_correspond import correspondences
-from torchreg.types import Clouds
+from torchreg.types import Clouds, Failure
 from torchreg.types.packing import spans
 
 
@@ -123,7 +123,7 @@ def _thinned(
         try:
             thin(*key[0]), thin(*key[1])
         except ValueError as error:
-            state.failed[b] = str(error)
+            state.failed[b] = Failure("too wide", str(error))
         else:
             keys.append(key)
     if not keys:

@@ -18,11 +18,16 @@ from torchreg.native import call, native
 from torchreg.refinement.correspond import Correspondence
 from torchreg.refinement.estimator import Estimator, MatchedBlocks
 from torchreg.refinement.tree_search import addresses
+from torchreg.types import Failure
 from torchreg.types.packing import offsets_of
 
-NO_CORRESPONDENCES = "no correspondences: no source point has a target point nearer than max_distance"
-OPEN_MOTION = "the correspondences leave the motion open: too few, or all on a line, a plane or the like"
-_OUTCOMES = ((False, ""), (True, ""), (False, NO_CORRESPONDENCES), (False, OPEN_MOTION))
+_NO_CORRESPONDENCES = Failure(
+    "no correspondences", "no correspondences: no source point has a target point nearer than max_distance"
+)
+_OPEN_MOTION = Failure(
+    "motion open", "the correspondences leave the motion open: too few, or all on a line, a plane or the like"
+)
+_OUTCOMES = ((False, None), (True, None), (False, _NO_CORRESPONDENCES), (False, _OPEN_MOTION))
 """Whether a pair converged and why it failed, by the numbers of compiled kernels."""
 
 
@@ -47,10 +52,10 @@ class State:
     inlier_rmse: Tensor  # (B,) float64, meters
     iterations: list[int]  # B numbers, updates made
     converged: list[bool]  # B times whether
-    failed: list[str]  # B reasons why a pair cannot go on, empty where it can
+    failed: list[Failure | None]  # B times why a pair cannot go on, ``None`` where it can
 
     @staticmethod
-    def start(T: Tensor, failed: list[str]) -> State:
+    def start(T: Tensor, failed: list[Failure | None]) -> State:
         """The state before the first iteration, at transforms T (B, 4, 4)."""
         pairs = len(failed)
         return State(
@@ -149,14 +154,14 @@ def iterate(active: ActivePairs, center: Tensor, estimator: Estimator, criteria:
         return
     active.matches.move(state.rotation, state.translation)
     state.fitness[:], state.inlier_rmse[:] = active.measure()
-    _dismiss(active, (state.fitness > 0).tolist(), NO_CORRESPONDENCES, state)
+    _dismiss(active, (state.fitness > 0).tolist(), _NO_CORRESPONDENCES, state)
     updates = 0
     while active.pairs:
         update = estimator.solve(active.sums(estimator, criteria, state.rotation[active.pairs]), center[active.pairs])
         R = apply_rotation(update.rotation[:, None], state.rotation[active.pairs].transpose(1, 2)).transpose(1, 2)
         t = apply_rotation(update.rotation, state.translation[active.pairs]) + update.translation
         usable = update.usable & torch.isfinite(t).all(dim=1)
-        _dismiss(active, usable.tolist(), OPEN_MOTION, state)
+        _dismiss(active, usable.tolist(), _OPEN_MOTION, state)
         if active.pairs:
             updates += 1
             _advance(active, R[usable], t[usable], updates, criteria, state)
@@ -202,7 +207,7 @@ def _advance(active: ActivePairs, R: Tensor, t: Tensor, updates: int, criteria: 
     active.matches.move(R, t)
     fitness, rmse = active.measure()
     met = fitness > 0
-    _dismiss(active, met.tolist(), NO_CORRESPONDENCES, state)
+    _dismiss(active, met.tolist(), _NO_CORRESPONDENCES, state)
     pairs, fitness, rmse = active.pairs, fitness[met], rmse[met]
     fitness_change = (fitness - state.fitness[pairs]).abs().tolist()
     rmse_change = (rmse - state.inlier_rmse[pairs]).abs().tolist()
@@ -216,9 +221,9 @@ def _advance(active: ActivePairs, R: Tensor, t: Tensor, updates: int, criteria: 
     active.keep(stays_active)
 
 
-def _dismiss(active: ActivePairs, stays: list[bool], reason: str, state: State) -> None:
-    """Drop the pairs that cannot go on, with the reason."""
+def _dismiss(active: ActivePairs, stays: list[bool], failure: Failure, state: State) -> None:
+    """Drop the pairs that cannot go on."""
     for b, stay in zip(active.pairs, stays, strict=True):
         if not stay:
-            state.failed[b] = reason
+            state.failed[b] = failure
     active.keep(stays)

@@ -14,6 +14,7 @@ from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.registration.former_names import by_former_names
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled
+from torchreg.types.loading import loadable
 
 AnySolver = TypeVar("AnySolver", bound=Solver)
 
@@ -26,6 +27,7 @@ REFINE_POINTS = 20_000
 """Surfels of each cloud that a pose is refined on, about."""
 
 
+@loadable
 @dataclass(frozen=True, kw_only=True, init=False)
 class RegistrationOptions:
     """Everything that ``register`` uses. The defaults are the paper's (section 4.1), for scans of buildings.

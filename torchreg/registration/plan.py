@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import psutil
 import torch
-from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_device
 from torchreg.geometry.numerics.partition import partition
@@ -27,8 +26,7 @@ from torchreg.registration.same_clouds import same_clouds
 from torchreg.registration.spacing import derive_numbered
 from torchreg.registration.stopwatch import stage
 from torchreg.solvers import Solver
-from torchreg.types import Clouds, Correspondences, Failure, HypothesisCounts, RegistrationResult
-from torchreg.types.packing import offsets_of, spans
+from torchreg.types import Clouds, Failure, RegistrationResult
 
 SHARE = 0.25
 """Share of the free memory that a call may use where ``max_bytes`` is not given."""
@@ -212,33 +210,6 @@ def pair_bytes(points: int, options: RegistrationOptions) -> int:
 
 def joined(results: Sequence[RegistrationResult], *, seconds: dict[str, float]) -> RegistrationResult:
     """Join the results of the slices of one call, at least one; rows of matches count on through all clouds."""
-    first, times = results[0], tuple(seconds.items())
-    if len(results) == 1:
-        return replace(first, seconds=times)
-    fields: dict[str, Any] = {}
-    for name, value in vars(first).items():
-        parts = [getattr(result, name) for result in results]
-        if isinstance(value, Tensor):
-            fields[name] = torch.cat(parts)
-        elif isinstance(value, Clouds):
-            fields[name] = Clouds.pack(parts)
-        elif isinstance(value, HypothesisCounts):
-            fields[name] = HypothesisCounts(*map(torch.cat, zip(*parts, strict=True)))
-        elif isinstance(value, tuple):
-            fields[name] = tuple(item for part in parts for item in part)
-    return replace(first, **fields | {"correspondences": _correspondences(results), "seconds": times})
-
-
-def _correspondences(results: Sequence[RegistrationResult]) -> Correspondences:
-    source, target, first = [], [], [0, 0]
-    for result in results:
-        source.append(result.correspondences.source + first[0])
-        target.append(result.correspondences.target + first[1])
-        first = [first[0] + len(result.source.points), first[1] + len(result.target.points)]
-    counts = [end - begin for result in results for begin, end in spans(result.correspondences.offsets)]
-    return Correspondences(
-        source=torch.cat(source),
-        target=torch.cat(target),
-        offsets=offsets_of(counts),
-        score=torch.cat([result.correspondences.score for result in results]),
-    )
+    times = tuple(seconds.items())
+    timed = [replace(result, seconds=times) for result in results]
+    return timed[0] if len(timed) == 1 else RegistrationResult.pack(timed)

@@ -32,6 +32,7 @@ from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
+from torchreg.types.clouds import expect_clouds
 from torchreg.verification import WORK, ProposedPoses, proposals_of
 from torchreg.verification.given import GivenVerdict, given_poses
 from torchreg.verification.judge import judge_poses
@@ -80,6 +81,7 @@ def register(
 
     Raises:
         ValueError: different numbers of clouds, or options that do not fit.
+        TypeError: something else than ``Clouds``, such as a tensor.
 
     Example:
         >>> import torchreg as tr
@@ -88,6 +90,8 @@ def register(
         >>> result.T_target_source.shape
         torch.Size([1, 4, 4])
     """
+    expect_clouds(source, "source")
+    expect_clouds(target, "target")
     with stopwatch() as seconds, undisturbed(source.points):
         plan = Plan(source, target, options, effort=effort, solver=solver, refine=refine, max_bytes=max_bytes)
         results = []

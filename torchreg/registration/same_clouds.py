@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.types import Clouds
+from torchreg.types.held import Offsets, held_by
 
 _PRIME = 1_000_003
 
@@ -43,7 +44,8 @@ def digest_of(cloud: Clouds) -> str:
 
 
 def _parts(cloud: Clouds) -> tuple[Tensor | None, ...]:
-    return cloud.points, cloud.colors, cloud.normals, cloud.origin, cloud.viewpoint, cloud.viewpoint_assumed
+    held = held_by(Clouds).items()
+    return tuple(getattr(cloud, name) for name, kind in held if not isinstance(kind, Offsets))
 
 
 def _fingerprint(cloud: Clouds) -> Tensor:

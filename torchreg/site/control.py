@@ -22,6 +22,7 @@ from torchreg.geometry.se3 import apply, apply_rotation, compose, rigid
 from torchreg.geometry.small_motions import cross_matrix, rotation_of
 from torchreg.io.scan_table import read_scan_table, scan_number
 from torchreg.site.links import KnownPose
+from torchreg.types.loading import loadable
 
 SIGMA = 0.01
 """Meters: the deviation of a control point, as far as it can be seen in a scan."""
@@ -34,6 +35,7 @@ _REFITS = 10
 _FREE_TURN, _FREE_SHIFT = 0.3, 10.0  # radians and meters: deviations of motions that points leave open
 
 
+@loadable
 class ControlPoint(NamedTuple):
     """One place in a scan and in the world.
 
@@ -50,6 +52,7 @@ class ControlPoint(NamedTuple):
     world: tuple[float, float, float]
 
 
+@loadable
 class JudgedPoint(NamedTuple):
     """A control point beside where the poses put it.
 

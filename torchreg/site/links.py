@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_shape, fraction, positive
 from torchreg.geometry.rigid_check import expect_rigid
+from torchreg.types.record import Record
 
 
 def loose_covariance(shift: float, reach: float) -> Tensor:
@@ -22,8 +24,8 @@ def loose_covariance(shift: float, reach: float) -> Tensor:
     return torch.tensor([turn**2] * 3 + [shift**2] * 3, dtype=torch.float64).diag()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Link:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Link(Record):
     """A candidate for the pose of one scan in the frame of another.
 
     A pair of scans has any number of them, of which at most one is right. Turns, shifts and frames are those of
@@ -76,6 +78,14 @@ class Link:
         expect_shape(self.center, "center", (3,), torch.float64)
         expect(bool(self.center.isfinite().all()), "center", "finite numbers", self.center.tolist())
         at_least(self.rank, "rank", 0)
+
+    def _facts(self) -> Sequence[str]:
+        place = ", ".join(f"{number:.3f}" for number in self.T_target_source[:3, 3].tolist())
+        return (
+            f"scan {self.source} in the frame of scan {self.target}, at {place} m",
+            f"candidate {self.rank + 1}, log-odds {self.log_odds:.2f}, probability {self.probability:.3f}",
+            f"refused: {self.reason}" if self.reason else "not refused",
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

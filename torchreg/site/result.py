@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -12,8 +12,13 @@ from torch import Tensor
 from torchreg.errors import expect, expect_shape
 from torchreg.site.control import JudgedPoint
 from torchreg.site.links import Link
+from torchreg.types.held import PerItem, held
+from torchreg.types.loading import loadable
+from torchreg.types.record import Record
+from torchreg.types.shown import several
 
 
+@loadable
 class SiteLink(NamedTuple):
     """A candidate for the pose of a pair of scans, and the verdict on it. A figure that it has not is NaN.
 
@@ -38,6 +43,7 @@ class SiteLink(NamedTuple):
     loop_degrees: float
 
 
+@loadable
 class TriedPair(NamedTuple):
     """Two scans that were registered with each other.
 
@@ -56,8 +62,8 @@ class TriedPair(NamedTuple):
     candidates: int
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SiteResult:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SiteResult(Record):
     """The poses of ``N`` scans, and what they stand on. A scan that is not placed is data: its reason.
 
     A group is what one frame holds; groups have nothing to do with each other. In every group the scan of the lowest
@@ -83,10 +89,10 @@ class SiteResult:
         seconds: time of every stage, by name, in order.
     """
 
-    T_world_scan: Tensor
-    group: Tensor
-    covariance: Tensor
-    center: Tensor
+    T_world_scan: Tensor = held(PerItem())
+    group: Tensor = held(PerItem())
+    covariance: Tensor = held(PerItem())
+    center: Tensor = held(PerItem())
     reason: tuple[str, ...]
     notes: tuple[tuple[str, ...], ...]
     links: tuple[SiteLink, ...]
@@ -122,10 +128,10 @@ class SiteResult:
         """Say in words which scans are placed, which are not and why, and what to look at first."""
         return type(self).summarizer(self)
 
-    def __repr__(self) -> str:
+    def _facts(self) -> Sequence[str]:
         groups = torch.bincount(self.group[self.placed]).tolist()
         used = sum(link.used for link in self.links)
         return (
-            f"SiteResult({len(self)} scans, {int(self.placed.sum())} placed in groups of {groups},\n"
-            f"           {len(self.pairs)} pairs tried, {len(self.links)} candidates, {used} used)"
+            f"{several(len(self), 'scans')}, {int(self.placed.sum())} placed in groups of {groups}",
+            f"{len(self.pairs)} pairs tried, {len(self.links)} candidates, {used} used",
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from torchreg.solvers.points import MatchedPoints
 from torchreg.solvers.scoring import QUALITIES, correspondence_vectors, proposal_dtype, propose_counts
 from torchreg.types import Failure
 from torchreg.types.lengths import length, scaled
+from torchreg.types.loading import loadable
 
 AnySolver = TypeVar("AnySolver", bound="Solver")
 
@@ -122,6 +123,11 @@ class Solver:
     inlier_threshold: float = length(0.2)
     local_optimization: int = 10
     scoring: str = "msac"
+
+    def __init_subclass__(cls, **more: Any) -> None:  # noqa: ANN401
+        """Let results that hold such a record be loaded by ``torch.load`` as they are."""
+        super().__init_subclass__(**more)
+        loadable(cls)
 
     def __post_init__(self) -> None:
         positive(self.inlier_threshold, "inlier_threshold")

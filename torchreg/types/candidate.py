@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torchreg.types.loading import loadable
 
+
+@loadable
 class Candidate(NamedTuple):
     """One pose that was weighed on the clouds. A figure without data to compute it from is NaN.
 
@@ -49,6 +52,7 @@ class Candidate(NamedTuple):
     probability: float
 
 
+@loadable
 class Proposal(NamedTuple):
     """The search with one set of features and one solver.
 
@@ -71,6 +75,7 @@ class Proposal(NamedTuple):
     support: int
 
 
+@loadable
 class StageCounts(NamedTuple):
     """The counts of each stage of one pair, (source, target) where there are two numbers.
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import describe, expect, expect_shape
+from torchreg.types.held import Offsets, PerItem, PerRow, held
 from torchreg.types.packing import checked_offsets, offsets_of, spans
+from torchreg.types.padded import PaddedClouds, checked_lengths, pad, unpad
+from torchreg.types.record import PackedBatch
+from torchreg.types.shown import counted, listed, several, where
 
 
-@dataclass(frozen=True, eq=False)
-class Clouds:
+@dataclass(frozen=True, eq=False, repr=False)
+class Clouds(PackedBatch):
     """``B`` point clouds, packed: the rows of all clouds one after another. One cloud is a batch of one.
 
     Attributes:
@@ -37,13 +43,15 @@ class Clouds:
         ValueError: a tensor has another shape, dtype or device than stated here.
     """
 
-    points: Tensor
-    offsets: Tensor = None  # type: ignore[assignment]  # filled in below: one cloud of all rows
-    colors: Tensor | None = None
-    normals: Tensor | None = None
-    origin: Tensor = None  # type: ignore[assignment]  # filled in below: zeros
-    viewpoint: Tensor | None = None
-    viewpoint_assumed: Tensor = None  # type: ignore[assignment]  # filled in below: no viewpoint is a guess
+    noun: ClassVar[str] = "clouds"
+
+    points: Tensor = held(PerRow(casts=True))
+    offsets: Tensor = held(Offsets(), default=None)  # filled in below: one cloud of all rows
+    colors: Tensor | None = held(PerRow(casts=True), default=None)
+    normals: Tensor | None = held(PerRow(casts=True), default=None)
+    origin: Tensor = held(PerItem(), default=None)  # filled in below: zeros
+    viewpoint: Tensor | None = held(PerItem(casts=True, gap=float("nan")), default=None)
+    viewpoint_assumed: Tensor = held(PerItem(), default=None)  # filled in below: no viewpoint is a guess
 
     def __post_init__(self) -> None:
         expect_shape(self.points, "points", ("P", 3), "floating")
@@ -84,53 +92,81 @@ class Clouds:
         return self._has_viewpoint() & ~self.viewpoint_assumed
 
     @staticmethod
-    def pack(clouds: Sequence[Clouds]) -> Clouds:
-        """Join batches of clouds into one; usable as the ``collate_fn`` of a ``DataLoader``.
+    def from_list(
+        points: Sequence[Tensor],
+        colors: Sequence[Tensor] | None = None,
+        normals: Sequence[Tensor] | None = None,
+    ) -> Clouds:
+        """Make a batch of the points of B clouds, each (P_b, 3), at the origin zero; gradients flow.
 
-        Colors and normals must be there for all clouds or for none. A cloud without a viewpoint gets NaN
-        when others have one.
+        Args:
+            points: meters, one tensor per cloud, of one dtype and device.
+            colors: sRGB in [0, 1], one (P_b, 3) per cloud.
+            normals: of unit length, likewise.
 
         Raises:
-            ValueError: nothing to pack, or some clouds have colors (normals) and others have none.
+            ValueError: no cloud, a tensor of another shape, dtype or device, or other numbers of rows than of points.
+
+        Example:
+            >>> Clouds.from_list([torch.rand(5, 3), torch.rand(2, 3)]).lengths
+            [5, 2]
         """
-        clouds = list(clouds)
-        expect(len(clouds) > 0, "clouds", "at least one cloud", clouds)
-        viewpoint = None
-        if any(cloud.viewpoint is not None for cloud in clouds):
-            viewpoint = torch.cat([_viewpoint_or_nan(cloud) for cloud in clouds])
+        points = list(points)
+        expect(len(points) > 0, "points", "at least one tensor (P, 3)", points)
+        expect_shape(points[0], "points[0]", ("P", 3), "floating")
         return Clouds(
-            points=torch.cat([cloud.points for cloud in clouds]),
-            offsets=offsets_of(length for cloud in clouds for length in cloud.lengths),
-            colors=_cat_all_or_none("colors", [cloud.colors for cloud in clouds]),
-            normals=_cat_all_or_none("normals", [cloud.normals for cloud in clouds]),
-            origin=torch.cat([cloud.origin for cloud in clouds]),
-            viewpoint=viewpoint,
-            viewpoint_assumed=torch.cat([cloud.viewpoint_assumed for cloud in clouds]),
+            points=_cat_like("points", points, points),
+            offsets=offsets_of(map(len, points)),
+            colors=None if colors is None else _cat_like("colors", colors, points),
+            normals=None if normals is None else _cat_like("normals", normals, points),
         )
+
+    @staticmethod
+    def from_padded(
+        points: Tensor, lengths: Tensor, colors: Tensor | None = None, normals: Tensor | None = None
+    ) -> Clouds:
+        """Make a batch of padded points (B, N, 3), of which cloud b has the first ``lengths[b]``; gradients flow.
+
+        Args:
+            points: meters; rows behind are ignored, whatever they hold.
+            lengths: (B,) whole numbers from 0 to N.
+            colors: (B, N, 3) sRGB in [0, 1].
+            normals: (B, N, 3) of unit length.
+
+        Raises:
+            ValueError: shapes that differ, or lengths without room.
+
+        Example:
+            >>> Clouds.from_padded(torch.rand(2, 7, 3), torch.tensor([7, 4])).lengths
+            [7, 4]
+        """
+        offsets = checked_lengths(lengths, points)
+        for name, values in (("colors", colors), ("normals", normals)):
+            if values is not None:
+                expect_shape(values, name, tuple(points.shape), points.dtype, points.device)
+        return Clouds(
+            points=unpad(points, offsets),
+            offsets=offsets,
+            colors=None if colors is None else unpad(colors, offsets),
+            normals=None if normals is None else unpad(normals, offsets),
+        )
+
+    def to_padded(self) -> PaddedClouds:
+        """Points, colors and normals as (B, N, 3), zero behind the last row of each cloud; gradients flow."""
+        more = (None if rows is None else pad(rows, self.offsets) for rows in (self.colors, self.normals))
+        return PaddedClouds(pad(self.points, self.offsets), self.offsets.diff().to(self.device), *more)
 
     def unpack(self) -> list[Clouds]:
         """The clouds as batches of one; their tensors are views."""
-        return [
-            Clouds(
-                points=self.points[begin:end],
-                colors=None if self.colors is None else self.colors[begin:end],
-                normals=None if self.normals is None else self.normals[begin:end],
-                origin=self.origin[b : b + 1],
-                viewpoint=None if self.viewpoint is None else self.viewpoint[b : b + 1],
-                viewpoint_assumed=self.viewpoint_assumed[b : b + 1],
-            )
-            for b, (begin, end) in enumerate(spans(self.offsets))
-        ]
+        return list(self)
 
     def select(self, which: int | Sequence[int]) -> Clouds:
-        """The batch of these clouds, in this order; a cloud may be named several times.
+        """The batch of these clouds, in this order; a cloud may be named several times. As ``clouds[which]``.
 
         Raises:
             IndexError: a number outside [-B, B).
         """
-        single = self.unpack()
-        chosen = [single[which]] if isinstance(which, int) else [single[b] for b in which]
-        return chosen[0] if len(chosen) == 1 else Clouds.pack(chosen)
+        return self[which]
 
     def rows(self, index: Tensor, offsets: Tensor) -> Clouds:
         """The clouds made of the rows ``index`` (Q,) of this batch, split by ``offsets`` (B+1,)."""
@@ -142,17 +178,18 @@ class Clouds:
             normals=None if self.normals is None else self.normals[index],
         )
 
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Clouds:
-        """Copy to a device or change the dtype of points, colors, normals and viewpoint (``origin`` stays float64)."""
-        return self._mapped(lambda value: value.to(device=device, dtype=dtype), lambda value: value.to(device=device))
-
-    def detach(self) -> Clouds:
-        """The same tensors, without gradients."""
-        return self._mapped(Tensor.detach, Tensor.detach)
-
-    def pin_memory(self) -> Clouds:
-        """Copy into page-locked memory, for faster and asynchronous transfer to a GPU."""
-        return self._mapped(Tensor.pin_memory, Tensor.pin_memory)
+    def _facts(self) -> Sequence[str]:
+        kept = [name for name in ("colors", "normals") if getattr(self, name) is not None]
+        if self.viewpoint is not None:
+            known = self.viewpoint_known.tolist()
+            kept.append("viewpoints known: " + listed(known))
+        far = self.origin.abs().max(dim=0).values.tolist() if len(self) else []
+        kept += ["origins far from zero"] if any(far) else []
+        return (
+            f"{several(len(self), self.noun)} of {counted(self.lengths)} points",
+            ", ".join(kept) or "no colors, no normals, no viewpoint",
+            where(self.points),
+        )
 
     def _has_viewpoint(self) -> Tensor:
         """Whether each cloud has a viewpoint, known or assumed: (B,) bool."""
@@ -160,35 +197,31 @@ class Clouds:
             return torch.zeros(len(self), dtype=torch.bool, device=self.device)
         return self.viewpoint.isfinite().all(dim=1)
 
-    def _mapped(self, change: Callable[[Tensor], Tensor], move: Callable[[Tensor], Tensor]) -> Clouds:
-        """The clouds with every tensor of the points' dtype changed by one function, the others moved by another."""
 
-        def optional(value: Tensor | None) -> Tensor | None:
-            return None if value is None else change(value)
+def expect_clouds(value: object, name: str) -> None:
+    """Check that an argument is ``Clouds``; the message says how they are made of what came.
 
-        return Clouds(
-            points=change(self.points),
-            offsets=self.offsets,
-            colors=optional(self.colors),
-            normals=optional(self.normals),
-            origin=move(self.origin),
-            viewpoint=optional(self.viewpoint),
-            viewpoint_assumed=move(self.viewpoint_assumed),
-        )
+    Raises:
+        TypeError: anything else.
+    """
+    if not isinstance(value, Clouds):
+        made = next((text for kind, text in _MADE_OF if isinstance(value, kind)), "read_cloud(path)")
+        came = f"a tensor {describe(value)}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
+        raise TypeError(f"{name}: expected Clouds, such as {made}, got {came}")
 
 
-def _viewpoint_or_nan(cloud: Clouds) -> Tensor:
-    if cloud.viewpoint is not None:
-        return cloud.viewpoint
-    return cloud.points.new_full((len(cloud), 3), float("nan"))
+_MADE_OF: tuple[tuple[Any, str], ...] = (
+    (Tensor, "Clouds(points) of points (P, 3) in meters"),
+    (np.ndarray, "from_numpy(points) of points (P, 3) in meters"),
+    ((list, tuple), "Clouds.from_list(points) of tensors (P, 3) in meters"),
+)
+"""How clouds are made of what may come in their place."""
 
 
-def _cat_all_or_none(name: str, parts: list[Tensor | None]) -> Tensor | None:
-    present = [part for part in parts if part is not None]
-    expect(
-        len(present) in (0, len(parts)),
-        name,
-        f"{name} for all {len(parts)} clouds or for none",
-        f"{len(present)} with and {len(parts) - len(present)} without",
-    )
-    return torch.cat(present) if present else None
+def _cat_like(name: str, values: Sequence[Tensor], points: Sequence[Tensor]) -> Tensor:
+    """The rows of all clouds, as many as points of each, of the dtype and device of the first points."""
+    expect(len(values) == len(points), name, f"one tensor per cloud ({len(points)})", len(values))
+    first = points[0]
+    for b, (value, rows) in enumerate(zip(values, points, strict=True)):
+        expect_shape(value, f"{name}[{b}]", ("P" if value is rows else len(rows), 3), first.dtype, first.device)
+    return torch.cat(list(values))

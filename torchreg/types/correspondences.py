@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
-from torchreg.types.packing import checked_offsets, spans
+from torchreg.types.held import Held, Listed, Offsets, PerRow, bounds_of, held
+from torchreg.types.packing import checked_offsets, offsets_of, spans
+from torchreg.types.record import PackedBatch
+from torchreg.types.shown import counted, several, where
 
 
-@dataclass(frozen=True, eq=False)
-class Correspondences:
+@dataclass(frozen=True, eq=False, repr=False)
+class Correspondences(PackedBatch):
     """Putative matches of ``B`` pairs of clouds, packed.
+
+    Rows are those of the whole batches of clouds, also in ``matches[b]``; a result that is indexed has rows of its own
+    clouds (``RegistrationResult``).
 
     Attributes:
         source: (M,) int64, global rows of the source batch.
@@ -22,10 +30,10 @@ class Correspondences:
         score: (M,) floating point; the matcher's distance in feature space: the smaller, the better.
     """
 
-    source: Tensor
-    target: Tensor
-    offsets: Tensor
-    score: Tensor
+    source: Tensor = held(PerRow())
+    target: Tensor = held(PerRow())
+    offsets: Tensor = held(Offsets())
+    score: Tensor = held(PerRow(casts=True))
 
     def __post_init__(self) -> None:
         expect_shape(self.source, "source", ("M",), torch.int64)
@@ -38,9 +46,51 @@ class Correspondences:
         """The number of pairs, B."""
         return len(self.offsets) - 1
 
+    def counted_on(self, source: Tensor, target: Tensor) -> Correspondences:
+        """The same matches, ``source[b]`` and ``target[b]`` (B,) int64 added to the rows of pair ``b``."""
+        counts = self.offsets.diff()
+        shifts = (each.repeat_interleave(counts).to(self.source.device) for each in (source, target))
+        return replace(self, source=self.source + next(shifts), target=self.target + next(shifts))
 
-@dataclass(frozen=True, eq=False)
-class SoftCorrespondences:
+    def _facts(self) -> Sequence[str]:
+        return (
+            f"{counted(self.offsets.diff().tolist())} matches of {several(len(self), 'pairs')}",
+            f"scores {where(self.score)}",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchesBetween(Held):
+    """A field with the matches between the clouds of two others: their rows are those of these clouds alone."""
+
+    source: str = "source"
+    target: str = "target"
+
+    def picked(self, value: Any, batch: Any, numbers: Sequence[int]) -> Any:  # noqa: ANN401
+        """The matches of these pairs, in the rows of their clouds."""
+        matches: Correspondences = value[list(numbers)]
+
+        def shift(side: str) -> Tensor:
+            bounds = bounds_of(getattr(batch, side).offsets, numbers)
+            before = torch.tensor([begin for begin, _ in bounds], dtype=torch.int64)
+            return offsets_of(end - begin for begin, end in bounds)[:-1] - before
+
+        return matches.counted_on(shift(self.source), shift(self.target))
+
+    def joined(self, values: Sequence[Any], name: str, batches: Sequence[Any]) -> Any:  # noqa: ANN401
+        """The matches of all pairs; rows count on through all clouds."""
+        pairs = torch.tensor([len(value) for value in values])
+
+        def shift(side: str) -> Tensor:
+            sizes = (int(getattr(batch, side).offsets[-1]) for batch in batches)
+            return offsets_of(sizes)[:-1].repeat_interleave(pairs)
+
+        matches: Correspondences = Correspondences.pack(values)
+        return matches.counted_on(shift(self.source), shift(self.target))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SoftCorrespondences(PackedBatch):
     """Soft matches of ``B`` pairs of clouds: one dense matrix each, since every point may match every other.
 
     Attributes:
@@ -51,9 +101,9 @@ class SoftCorrespondences:
         target_offsets: (B+1,) int64, likewise of the target clouds.
     """
 
-    confidence: tuple[Tensor, ...]
-    source_offsets: Tensor
-    target_offsets: Tensor
+    confidence: tuple[Tensor, ...] = held(Listed(casts=True))
+    source_offsets: Tensor = held(Offsets())
+    target_offsets: Tensor = held(Offsets())
 
     def __post_init__(self) -> None:
         pairs = len(self.confidence)
@@ -69,3 +119,11 @@ class SoftCorrespondences:
     def __len__(self) -> int:
         """The number of pairs, B."""
         return len(self.confidence)
+
+    def _facts(self) -> Sequence[str]:
+        sizes = (tuple(matrix.shape) for matrix in self.confidence)
+        return (
+            f"{several(len(self), 'pairs')} of "
+            + (", ".join(f"{rows:,} x {columns:,}" for rows, columns in sizes) or "no points"),
+            *(where(matrix) for matrix in self.confidence[:1]),
+        )

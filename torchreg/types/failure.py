@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from torchreg.errors import one_of
+from torchreg.types.loading import loadable
 
 KINDS = (
     # of the clouds
@@ -33,13 +34,17 @@ KINDS = (
 KINDS_OF_GIVEN = ("displaced", "another pose is better")
 """The further kinds that only a given transform has."""
 
+KINDS_OF_ICP = ("not rigid", "no correspondences", "motion open", "not converged")
+"""The further kinds of transforms that ICP could not refine."""
 
+
+@loadable
 @dataclass(frozen=True)
 class Failure:
     """Why one pair did not succeed.
 
     Attributes:
-        kind: one of ``KINDS``, or of ``KINDS_OF_GIVEN``, for programs to act on.
+        kind: one of ``KINDS``, ``KINDS_OF_GIVEN`` or ``KINDS_OF_ICP``, for programs to act on.
         text: for people, the kind and the figures in one sentence.
         figures: the numbers that decided it by name, such as ``{"matches": 2, "needed": 3}``; lengths in meters.
 
@@ -52,7 +57,7 @@ class Failure:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        one_of(self.kind, "kind", KINDS + KINDS_OF_GIVEN)
+        one_of(self.kind, "kind", KINDS + KINDS_OF_GIVEN + KINDS_OF_ICP)
 
     def __str__(self) -> str:
         return self.text

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
+from torchreg.types.held import Held, Offsets, PerRow, held
 from torchreg.types.packing import checked_offsets
+from torchreg.types.record import PackedBatch
+from torchreg.types.shown import counted, several, where
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
+@dataclass(frozen=True, eq=False, repr=False)
+class Features(PackedBatch):
     """One descriptor per point of a packed batch.
 
     Attributes:
@@ -22,10 +27,12 @@ class Features:
         valid: (P,) bool; a false row describes nothing and is never matched.
     """
 
-    values: Tensor
-    offsets: Tensor
-    blocks: tuple[tuple[str, int], ...]
-    valid: Tensor
+    noun: ClassVar[str] = "clouds"
+
+    values: Tensor = held(PerRow(casts=True))
+    offsets: Tensor = held(Offsets())
+    blocks: tuple[tuple[str, int], ...] = held(Held())
+    valid: Tensor = held(PerRow())
 
     def __post_init__(self) -> None:
         expect_shape(self.values, "values", ("P", "D"), "floating")
@@ -37,6 +44,14 @@ class Features:
     def __len__(self) -> int:
         """The number of clouds, B."""
         return len(self.offsets) - 1
+
+    def _facts(self) -> Sequence[str]:
+        sizes, invalid = counted(self.offsets.diff().tolist()), len(self.values) - int(self.valid.sum())
+        return (
+            f"{sizes} points of {several(len(self), 'clouds')}, {invalid:,} invalid",
+            " + ".join(f"{name} {width}" for name, width in self.blocks) or "no block",
+            where(self.values),
+        )
 
     def block(self, name: str) -> Tensor:
         """The columns (P, width) of one block, a view.

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect, expect_shape, positive
+from torchreg.types.held import Held, PerRow, held
+from torchreg.types.record import Record
+from torchreg.types.shown import where
 
 
-@dataclass(frozen=True, eq=False)
-class Neighborhoods:
+@dataclass(frozen=True, eq=False, repr=False)
+class Neighborhoods(Record):
     """Up to ``K`` neighbors of every point, ascending by (squared distance, index).
 
     The query point counts as its own neighbor, as in Open3D; consumers mask it out by its index, never by its place,
@@ -25,10 +29,10 @@ class Neighborhoods:
             differ; ``None`` where it is not known.
     """
 
-    index: Tensor
-    valid: Tensor
-    sq_distance: Tensor
-    radius: float | Tensor | None = None
+    index: Tensor = held(PerRow())
+    valid: Tensor = held(PerRow())
+    sq_distance: Tensor = held(PerRow(casts=True))
+    radius: float | Tensor | None = held(Held(casts=True), default=None)
 
     def __post_init__(self) -> None:
         expect_shape(self.index, "index", ("P", "K"), torch.int64)
@@ -90,6 +94,18 @@ class Neighborhoods:
         if isinstance(radius, Tensor):
             radius = radius[begin:end]
         return Neighborhoods(index, valid, self.sq_distance[begin:end], radius)
+
+    def _facts(self) -> Sequence[str]:
+        counts = self.counts()
+        mean = float(counts.double().mean()) if len(self) > 0 else 0.0
+        radius = (
+            "of each point" if isinstance(self.radius, Tensor) else f"{self.radius} m" if self.radius else "not known"
+        )
+        return (
+            f"{len(self):,} points, {mean:.1f} of at most {self.max_neighbors} neighbors each",
+            f"radius {radius}",
+            where(self.sq_distance),
+        )
 
     def _reaches(self, radius: float | Tensor) -> bool:
         """Whether no neighbor is farther than ``radius``, as far as that is known without a look at them."""

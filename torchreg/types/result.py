@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -12,10 +12,15 @@ from torch import Tensor
 from torchreg.errors import expect, expect_shape
 from torchreg.types.candidate import Candidate, StageCounts
 from torchreg.types.clouds import Clouds
-from torchreg.types.correspondences import Correspondences
+from torchreg.types.correspondences import Correspondences, MatchesBetween
 from torchreg.types.failure import Failure
+from torchreg.types.held import Held, Listed, PerItem, PerRow, held, numbers
+from torchreg.types.loading import loadable
+from torchreg.types.record import PackedBatch
+from torchreg.types.shown import listed, several
 
 
+@loadable
 class HypothesisCounts(NamedTuple):
     """How many hypotheses of every pair reached each step, (B,) int64 each.
 
@@ -30,27 +35,8 @@ class HypothesisCounts(NamedTuple):
     scored: Tensor
 
 
-_PER_PAIR: dict[str, tuple[int, ...]] = {
-    "fitness": (),
-    "inlier_rmse": (),
-    "probability": (),
-    "overlap": (),
-    "information": (6, 6),
-    "strength": (),
-    "runner_up": (4, 4),
-    "margin": (),
-    "residual_median": (),
-    "residual_rms": (),
-    "residual_95": (),
-    "covariance": (6, 6),
-    "center": (3,),
-    "axis_strength": (6,),
-}
-"""The size of fields that are float64 numbers of every pair."""
-
-
-@dataclass(frozen=True, eq=False)
-class RegistrationResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class RegistrationResult(PackedBatch):
     """The transforms of ``B`` pairs. A failed pair is data: ``success`` false, and its ``failure``.
 
     Attributes:
@@ -98,33 +84,33 @@ class RegistrationResult:
             motions are free. 0.58 for each shift in a cube, 0 along a corridor.
     """
 
-    T_target_source: Tensor
-    inliers: Tensor
-    fitness: Tensor
-    inlier_rmse: Tensor
-    success: Tensor
-    failure: tuple[Failure | None, ...]
-    hypotheses: HypothesisCounts
-    source: Clouds
-    target: Clouds
-    correspondences: Correspondences
-    options: tuple[Any, ...] = ()
-    notes: tuple[tuple[str, ...], ...] = ()
-    seconds: tuple[tuple[str, float], ...] = ()
-    probability: Tensor | None = None
-    overlap: Tensor | None = None
-    information: Tensor | None = None
-    strength: Tensor | None = None
-    runner_up: Tensor | None = None
-    margin: Tensor | None = None
-    candidates: tuple[tuple[Candidate, ...], ...] = ()
-    stages: tuple[StageCounts, ...] = ()
-    residual_median: Tensor | None = None
-    residual_rms: Tensor | None = None
-    residual_95: Tensor | None = None
-    covariance: Tensor | None = None
-    center: Tensor | None = None
-    axis_strength: Tensor | None = None
+    T_target_source: Tensor = held(numbers(4, 4))
+    inliers: Tensor = held(PerRow(of="correspondences"))
+    fitness: Tensor = held(numbers())
+    inlier_rmse: Tensor = held(numbers())
+    success: Tensor = held(PerItem(size=(), dtype=torch.bool))
+    failure: tuple[Failure | None, ...] = held(Listed(what="one or None", shown=True))
+    hypotheses: HypothesisCounts = held(PerItem())
+    source: Clouds = held(PerItem())
+    target: Clouds = held(PerItem())
+    correspondences: Correspondences = held(MatchesBetween())
+    options: tuple[Any, ...] = held(Listed(optional=True), default=())
+    notes: tuple[tuple[str, ...], ...] = held(Listed(optional=True), default=())
+    seconds: tuple[tuple[str, float], ...] = held(Held(), default=())
+    probability: Tensor | None = held(numbers(), default=None)
+    overlap: Tensor | None = held(numbers(), default=None)
+    information: Tensor | None = held(numbers(6, 6), default=None)
+    strength: Tensor | None = held(numbers(), default=None)
+    runner_up: Tensor | None = held(numbers(4, 4), default=None)
+    margin: Tensor | None = held(numbers(), default=None)
+    candidates: tuple[tuple[Candidate, ...], ...] = held(Listed(optional=True), default=())
+    stages: tuple[StageCounts, ...] = held(Listed(optional=True), default=())
+    residual_median: Tensor | None = held(numbers(), default=None)
+    residual_rms: Tensor | None = held(numbers(), default=None)
+    residual_95: Tensor | None = held(numbers(), default=None)
+    covariance: Tensor | None = held(numbers(6, 6), default=None)
+    center: Tensor | None = held(numbers(3), default=None)
+    axis_strength: Tensor | None = held(numbers(6), default=None)
 
     explainer: ClassVar[Callable[[RegistrationResult, int], str]]
     """Writes the text of ``explain``; set by ``torchreg``, since its report stands above the types."""
@@ -133,19 +119,11 @@ class RegistrationResult:
         expect_shape(self.T_target_source, "T_target_source", ("B", 4, 4), torch.float64)
         pairs = self.T_target_source.shape[0]
         expect_shape(self.inliers, "inliers", (self.correspondences.source.shape[0],), torch.bool)
-        expect_shape(self.success, "success", (pairs,), torch.bool)
-        expect(len(self.failure) == pairs, "failure", f"one or None per pair ({pairs})", self.failure)
         for name in ("source", "target"):
             expect(len(getattr(self, name)) == pairs, name, f"one cloud per pair ({pairs})", len(getattr(self, name)))
         for counts, field in zip(self.hypotheses, self.hypotheses._fields, strict=True):
             expect_shape(counts, f"hypotheses.{field}", (pairs,))
-        for name, size in _PER_PAIR.items():
-            value = getattr(self, name)
-            if value is not None:
-                expect_shape(value, name, (pairs, *size), torch.float64)
-        for name in ("options", "notes", "candidates", "stages"):
-            count = len(getattr(self, name))
-            expect(count in (0, pairs), name, f"none or one item per pair ({pairs})", count)
+        self._check_counts(pairs)
 
     def __len__(self) -> int:
         """The number of pairs, B."""
@@ -155,6 +133,15 @@ class RegistrationResult:
     def reason(self) -> tuple[str, ...]:
         """The text of each pair's ``failure``; empty where it succeeded."""
         return tuple("" if failure is None else failure.text for failure in self.failure)
+
+    def _facts(self) -> Sequence[str]:
+        refused = [f"pair {b}: {failure.kind}" for b, failure in enumerate(self.failure) if failure is not None]
+        probability = "" if self.probability is None else f"probability {listed(self.probability.tolist())}; "
+        return (
+            f"{several(len(self), 'pairs')}, {int(self.success.sum())} registered, on {self.T_target_source.device}",
+            f"{probability}fitness {listed(self.fitness.tolist())}",
+            f"refused: {listed(refused)}" if refused else "none refused",
+        )
 
     def explain(self, pair: int = 0) -> str:
         """Explain in words how much each stage of one pair had and lost, and the remedy most likely to help.

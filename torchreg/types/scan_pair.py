@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,10 +10,15 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
+from torchreg.types.collation import collated_by
+from torchreg.types.held import Held, Listed, PerItem, held
+from torchreg.types.record import PackedBatch, Record
+from torchreg.types.shown import counted, listed, several, where
 
 
-@dataclass(frozen=True, eq=False)
-class ScanPair:
+@collated_by("torchreg.datasets.pack_pairs")
+@dataclass(frozen=True, eq=False, repr=False)
+class ScanPair(Record):
     """A source scan, a target scan and their true motion, which a registration should find.
 
     Attributes:
@@ -28,11 +33,11 @@ class ScanPair:
         ValueError: a batch of several clouds, or a matrix of another shape or dtype.
     """
 
-    source: Clouds
-    target: Clouds
-    T_target_source: Tensor
-    name: str
-    information: Tensor | None = None
+    source: Clouds = held(PerItem())
+    target: Clouds = held(PerItem())
+    T_target_source: Tensor = held(PerItem())
+    name: str = held(Held())
+    information: Tensor | None = held(PerItem(), default=None)
 
     def __post_init__(self) -> None:
         for name, cloud in (("source", self.source), ("target", self.target)):
@@ -44,9 +49,17 @@ class ScanPair:
         """Whether the true motion is known."""
         return bool(self.T_target_source.isfinite().all())
 
+    def _facts(self) -> Sequence[str]:
+        sizes = (counted(side.lengths) for side in (self.source, self.target))
+        return (
+            f"{self.name!r}, {' and '.join(sizes)} points",
+            f"true motion {'known' if self.has_truth else 'not known'}",
+            where(self.source.points),
+        )
 
-@dataclass(frozen=True, eq=False)
-class ScanPairBatch:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScanPairBatch(PackedBatch):
     """``B`` scan pairs, their clouds packed.
 
     Attributes:
@@ -61,11 +74,11 @@ class ScanPairBatch:
         ValueError: the numbers of sources, targets, matrices and names differ, or a matrix has another dtype.
     """
 
-    source: Clouds
-    target: Clouds
-    T_target_source: Tensor
-    names: tuple[str, ...]
-    information: Tensor | None = None
+    source: Clouds = held(PerItem())
+    target: Clouds = held(PerItem())
+    T_target_source: Tensor = held(PerItem())
+    names: tuple[str, ...] = held(Listed(shown=True))
+    information: Tensor | None = held(PerItem(gap=float("nan")), default=None)
 
     def __post_init__(self) -> None:
         pairs = len(self.names)
@@ -92,21 +105,12 @@ class ScanPairBatch:
         )
         return [ScanPair(*part) for part in parts]
 
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> ScanPairBatch:
-        """Copy to a device or change the dtype of the clouds, as ``Clouds.to``; the matrices stay float64."""
-        return self._map(lambda clouds: clouds.to(device, dtype), lambda matrix: matrix.to(device=device))
-
-    def pin_memory(self) -> ScanPairBatch:
-        """Copy into page-locked memory; a ``DataLoader`` with ``pin_memory=True`` calls this where there is a GPU."""
-        return self._map(Clouds.pin_memory, Tensor.pin_memory)
-
-    def _map(self, clouds: Callable[[Clouds], Clouds], matrix: Callable[[Tensor], Tensor]) -> ScanPairBatch:
-        return ScanPairBatch(
-            source=clouds(self.source),
-            target=clouds(self.target),
-            T_target_source=matrix(self.T_target_source),
-            names=self.names,
-            information=None if self.information is None else matrix(self.information),
+    def _facts(self) -> Sequence[str]:
+        known = int(self.has_truth.sum())
+        return (
+            f"{several(len(self), 'pairs')}: {listed(self.names)}",
+            f"{counted(self.source.lengths)} and {counted(self.target.lengths)} points, true motion of {known} known",
+            where(self.source.points),
         )
 
 
@@ -126,29 +130,24 @@ def pack_pairs(pairs: Sequence[ScanPair]) -> ScanPairBatch:
     """
     pairs = list(pairs)
     expect(len(pairs) > 0, "pairs", "at least one pair", pairs)
-    names = tuple(pair.name for pair in pairs)
-    information = None
-    if any(pair.information is not None for pair in pairs):
-        unknown = pairs[0].T_target_source.new_full((6, 6), float("nan"))
-        information = torch.stack([unknown if pair.information is None else pair.information for pair in pairs])
-    return ScanPairBatch(
-        source=_pack("source", [pair.source for pair in pairs], names),
-        target=_pack("target", [pair.target for pair in pairs], names),
-        T_target_source=torch.stack([pair.T_target_source for pair in pairs]),  # (B, 4, 4)
-        names=names,
-        information=information,
-    )
+    for side in ("source", "target"):
+        _expect_alike(side, [getattr(pair, side) for pair in pairs], [pair.name for pair in pairs])
+    return ScanPairBatch.pack(_of_one(pair) for pair in pairs)
 
 
-def _pack(side: str, clouds: list[Clouds], names: tuple[str, ...]) -> Clouds:
-    """``Clouds.pack`` after a check whose message names the pairs."""
+def _of_one(pair: ScanPair) -> ScanPairBatch:
+    information = None if pair.information is None else pair.information[None]
+    return ScanPairBatch(pair.source, pair.target, pair.T_target_source[None], (pair.name,), information)
+
+
+def _expect_alike(side: str, clouds: list[Clouds], names: list[str]) -> None:
+    """Check that all clouds have colors and normals or none has; the message names a pair of each kind."""
     for what in ("colors", "normals"):
         present = [getattr(cloud, what) is not None for cloud in clouds]
         if any(present) and not all(present):
             has, lacks = names[present.index(True)], names[present.index(False)]
             received = f"them for {has} and none for {lacks} (the dataset's {what}=False drops them)"
             raise ValueError(f"{side}: expected {what} for all clouds of a batch or for none, got {received}")
-    return Clouds.pack(clouds)
 
 
 def _check_matrices(T_target_source: Tensor, information: Tensor | None, *batch: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,10 +10,13 @@ from torch import Tensor
 
 from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
+from torchreg.types.held import Held, PerItem, held
+from torchreg.types.record import Record
+from torchreg.types.shown import counted, listed, several
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedSite:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedSite(Record):
     """``N`` scans of one place and their true poses, which a registration should find up to a common motion.
 
     Attributes:
@@ -26,11 +30,11 @@ class SimulatedSite:
         ValueError: a scan that is not one cloud, or numbers of scans, poses, floors and names that differ.
     """
 
-    scans: tuple[Clouds, ...]
-    T_world_scan: Tensor
-    floor: Tensor
-    stations: tuple[str, ...]
-    name: str
+    scans: tuple[Clouds, ...] = held(Held(casts=True))
+    T_world_scan: Tensor = held(PerItem())
+    floor: Tensor = held(PerItem())
+    stations: tuple[str, ...] = held(Held())
+    name: str = held(Held())
 
     def __post_init__(self) -> None:
         count = len(self.scans)
@@ -39,6 +43,10 @@ class SimulatedSite:
         expect_shape(self.T_world_scan, "T_world_scan", (count, 4, 4), dtype=torch.float64)
         expect_shape(self.floor, "floor", (count,), dtype=torch.int64)
         expect(len(self.stations) == count, "stations", f"{count} names, one for every scan", f"{len(self.stations)}")
+
+    def _facts(self) -> Sequence[str]:
+        points = counted([len(scan.points) for scan in self.scans])
+        return f"{self.name!r}, {several(len(self), 'scans')} of {points} points", f"stations {listed(self.stations)}"
 
     def __len__(self) -> int:
         """The number of scans, N."""

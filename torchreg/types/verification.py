@@ -2,38 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
 from torchreg.types.candidate import Candidate
 from torchreg.types.clouds import Clouds
 from torchreg.types.failure import Failure
+from torchreg.types.held import Listed, PerItem, held, numbers
+from torchreg.types.record import PackedBatch
 from torchreg.types.result import RegistrationResult
-
-_PER_PAIR: dict[str, tuple[int, ...]] = {
-    "T_target_source": (4, 4),
-    "probability": (),
-    "deviation_meters": (),
-    "deviation_degrees": (),
-    "settled": (4, 4),
-    "likeliest": (4, 4),
-    "fitness": (),
-    "inlier_rmse": (),
-    "overlap": (),
-    "residual_median": (),
-    "residual_rms": (),
-    "residual_95": (),
-}
-"""The size of fields that are float64 numbers of every pair."""
+from torchreg.types.shown import listed, several
 
 
-@dataclass(frozen=True, eq=False)
-class Verification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Verification(PackedBatch):
     """How far the given transforms of ``B`` pairs can be trusted. A wrong one is data: ``success`` false, and why.
 
     Transforms are in meters, between the frames of the files (origins included).
@@ -71,36 +57,30 @@ class Verification:
             compared, thinned, with options, notes, times, candidates and counts.
     """
 
-    T_target_source: Tensor
-    success: Tensor
-    failure: tuple[Failure | None, ...]
-    probability: Tensor
-    settled: Tensor
-    deviation_meters: Tensor
-    deviation_degrees: Tensor
-    likeliest: Tensor
-    fitness: Tensor
-    inlier_rmse: Tensor
-    overlap: Tensor
-    residual_median: Tensor
-    residual_rms: Tensor
-    residual_95: Tensor
-    candidate: tuple[Candidate | None, ...]
-    settled_candidate: tuple[Candidate | None, ...]
-    rival: tuple[Candidate | None, ...]
-    search: RegistrationResult
+    T_target_source: Tensor = held(numbers(4, 4))
+    success: Tensor = held(PerItem(size=(), dtype=torch.bool))
+    failure: tuple[Failure | None, ...] = held(Listed(what="one or None", shown=True))
+    probability: Tensor = held(numbers())
+    settled: Tensor = held(numbers(4, 4))
+    deviation_meters: Tensor = held(numbers())
+    deviation_degrees: Tensor = held(numbers())
+    likeliest: Tensor = held(numbers(4, 4))
+    fitness: Tensor = held(numbers())
+    inlier_rmse: Tensor = held(numbers())
+    overlap: Tensor = held(numbers())
+    residual_median: Tensor = held(numbers())
+    residual_rms: Tensor = held(numbers())
+    residual_95: Tensor = held(numbers())
+    candidate: tuple[Candidate | None, ...] = held(Listed(what="one or None"))
+    settled_candidate: tuple[Candidate | None, ...] = held(Listed(what="one or None"))
+    rival: tuple[Candidate | None, ...] = held(Listed(what="one or None"))
+    search: RegistrationResult = held(PerItem())
 
     explainer: ClassVar[Callable[[Verification, int], str]]
     """Writes the text of ``explain``; set by ``torchreg``, since its report stands above the types."""
 
     def __post_init__(self) -> None:
-        pairs = len(self.search)
-        expect_shape(self.success, "success", (pairs,), torch.bool)
-        for name, size in _PER_PAIR.items():
-            expect_shape(getattr(self, name), name, (pairs, *size), torch.float64)
-        for name in ("failure", "candidate", "settled_candidate", "rival"):
-            count = len(getattr(self, name))
-            expect(count == pairs, name, f"one or None per pair ({pairs})", count)
+        self._check_counts(len(self.search))
 
     def __len__(self) -> int:
         """The number of pairs, B."""
@@ -135,6 +115,14 @@ class Verification:
     def reason(self) -> tuple[str, ...]:
         """The text of each pair's ``failure``; empty where the given transform is held to be right."""
         return tuple("" if failure is None else failure.text for failure in self.failure)
+
+    def _facts(self) -> Sequence[str]:
+        refused = [f"pair {b}: {failure.kind}" for b, failure in enumerate(self.failure) if failure is not None]
+        return (
+            f"{several(len(self), 'transforms')}, {int(self.success.sum())} held to be right",
+            f"probability {listed(self.probability.tolist())}; overlap {listed(self.overlap.tolist())}",
+            f"refused: {listed(refused)}" if refused else "none refused",
+        )
 
     def explain(self, pair: int = 0) -> str:
         """Explain in words what speaks for and against the given transform of one pair, and what to do.
