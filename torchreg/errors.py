@@ -13,6 +13,10 @@ class CloudFileError(ValueError):
     """A file that cannot be read as a point cloud; the message names the file and what is wrong with it."""
 
 
+class ArgumentTypeError(TypeError, ValueError):
+    """An argument of a wrong type: a ``TypeError``, and a ``ValueError`` as everything else wrong with arguments is."""
+
+
 def expect(condition: bool, name: str, expected: str, received: object) -> None:
     """Raise ``ValueError`` with the argument's name, the expected and the received value, unless ``condition``."""
     if not condition:
@@ -25,6 +29,13 @@ def describe(value: object) -> str:
         return f"{tuple(value.shape)} {str(value.dtype).removeprefix('torch.')} on {value.device}"
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
+
+
+def described_with_type(value: object) -> str:
+    """The same, and the type where the ``repr`` does not show it."""
+    if value is None or isinstance(value, (Tensor, str)):
+        return describe(value) if not isinstance(value, Tensor) else f"a tensor {describe(value)}"
+    return f"{describe(value)} ({type(value).__name__})"
 
 
 def expect_shape(
@@ -40,7 +51,7 @@ def expect_shape(
     """
     expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
     if not isinstance(value, Tensor):
-        raise ValueError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
+        raise ArgumentTypeError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
     fits = value.ndim == len(shape) and all(
         isinstance(want, str) or want == have for want, have in zip(shape, value.shape, strict=True)
     )
@@ -73,6 +84,13 @@ def positive(value: float, name: str) -> float:
     """Return ``value`` if it is a finite number above zero, else raise ``ValueError``."""
     number = isinstance(value, Real) and not isinstance(value, bool)
     expect(number and 0 < value < float("inf"), name, "a finite number above 0", value)
+    return float(value)
+
+
+def finite(value: float, name: str) -> float:
+    """Return ``value`` if it is a finite number, else raise ``ValueError``."""
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    expect(number and abs(value) < float("inf"), name, "a finite number", value)
     return float(value)
 
 

@@ -13,6 +13,7 @@ from typing import TypeVar, cast
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.augment.streams import SeedStream, derived_seed, generator_of
 from torchreg.errors import expect, fraction
 from torchreg.geometry.se3 import compose, inverse
@@ -57,6 +58,7 @@ class Augmentation(nn.Module):
         ValueError: a probability outside [0, 1], or a generator that is not on the CPU.
     """
 
+    @checked
     def __init__(self, *, probability: float = 1.0, generator: torch.Generator | None = None) -> None:
         super().__init__()
         self.probability = fraction(probability, "probability", zero=True)
@@ -124,6 +126,7 @@ class Compose(Augmentation):
         [5]
     """
 
+    @checked
     def __init__(
         self, *members: Augmentation, probability: float = 1.0, generator: torch.Generator | None = None
     ) -> None:
@@ -167,6 +170,7 @@ class AugmentPair(nn.Module):
         False
     """
 
+    @checked
     def __init__(
         self, source: Augmentation, target: Augmentation | None = None, *, generator: torch.Generator | None = None
     ) -> None:

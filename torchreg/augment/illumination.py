@@ -10,6 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked
 from torchreg.augment.augmentation import Augmentation, Tracked, checked_size, unmoved
 from torchreg.descriptors.color import hsv
 from torchreg.errors import expect
@@ -42,6 +43,7 @@ class Illumination(Augmentation):
         True
     """
 
+    @checked
     def __init__(
         self,
         *,

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchreg.descriptors.soft.arguments import expect_finite
 from torchreg.descriptors.soft.votes import bin_shares
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape, fraction, one_of
 from torchreg.types import Clouds
 from torchreg.types.packing import checked_offsets, spans
@@ -57,6 +58,7 @@ def _equalize_one(hue: Tensor) -> Tensor:
     return ((below - lowest).clamp(min=0).to(hue.dtype) / span.to(hue.dtype))[level]
 
 
+@entry
 def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tensor:
     """Histogram-equalize hues, every packed cloud by itself, with gradients.
 

@@ -12,6 +12,7 @@ from typing import ClassVar, TypeVar
 
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import at_least, positive
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.lengths import length, scaled
@@ -24,6 +25,7 @@ def largest_entries(values: Tensor) -> Tensor:
     return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(len(values))
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Descriptor(ABC):
     """The options of one descriptor, and how it describes a cloud. Subclasses are frozen dataclasses.

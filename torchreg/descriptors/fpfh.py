@@ -17,6 +17,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.pair_features import (
@@ -30,6 +31,7 @@ from torchreg.descriptors.pair_features import (
 )
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_floating, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.compiled import fusible
@@ -40,6 +42,7 @@ from torchreg.types import Clouds, Features, Neighborhoods
 FPFH_SIZE = 3 * ANGLE_BINS
 
 
+@entry
 def fpfh(
     cloud: Clouds,
     near: Neighborhoods,
@@ -112,6 +115,7 @@ def fpfh(
     return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=largest_entries(values) != 0)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Fpfh(Descriptor):
     """``torchreg.fpfh``: 33 numbers of local geometry.

@@ -7,12 +7,14 @@ import math
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, positive
 from torchreg.types import Features
 
 _LEAST = 1e-2  # percent
 
 
+@entry
 def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Features:
     """Scale every block to unit length, row by row, weigh it and concatenate.
 

@@ -19,11 +19,13 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
@@ -36,6 +38,7 @@ MIN_NEIGHBORS = 3
 _VOTE_STEPS = 1024  # a weighted vote is a whole number of 1/1024, so that sums are exact
 
 
+@entry
 def pcfh(
     cloud: Clouds,
     near: Neighborhoods,
@@ -112,6 +115,7 @@ def pcfh(
     return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=largest_entries(out) != 0)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Pcfh(Descriptor):
     """``torchreg.pcfh``: histograms of color differences, by default those of the paper.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
@@ -61,6 +62,7 @@ def quaternion_wxyz(rotation: Tensor) -> Tensor:
     return torch.where(unit[..., :1] < 0, -unit, unit)
 
 
+@entry
 def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
     """Move clouds: points, normals and viewpoints, in float64 and with their origins.
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io.assemble import RawCloud, assemble, checked_dtype, scale_colors
 from torchreg.io.placement import Viewpoint, checked_viewpoint
@@ -17,6 +18,7 @@ from torchreg.types import Clouds
 _Array = NDArray[Any]
 
 
+@entry
 def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype = torch.float32) -> Clouds:  # noqa: ANN401
     """Make a batch of one from an Open3D cloud; row i stays row i.
 
@@ -48,6 +50,7 @@ def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype =
     return assemble(raw, wanted, dtype).cloud
 
 
+@entry
 def to_open3d(cloud: Clouds) -> Any:  # noqa: ANN401
     """Make an ``open3d.geometry.PointCloud`` of one cloud, its origin added, in float64.
 

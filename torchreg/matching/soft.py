@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, one_of, positive
 from torchreg.matching.mutual import expect_comparable
 from torchreg.matching.softmax import dual_softmax, one_number
@@ -22,6 +23,7 @@ from torchreg.types.packing import spans
 METHODS = ("dual_softmax", "sinkhorn")
 
 
+@entry
 def soft_match(
     source: Features,
     target: Features,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, positive
 from torchreg.neighborhoods.backends import backend_for
 from torchreg.neighborhoods.cells import search_cells
@@ -17,6 +18,7 @@ from torchreg.types.packing import spans
 _SEARCHES = {"native": search_tree, "open3d": search_open3d, "torch": search_cells}
 
 
+@entry
 def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, backend: str = "auto") -> Neighborhoods:
     """Find the ``max_neighbors`` nearest points of the same cloud within ``radius`` (a hybrid search).
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors.color import colors_of, hsv, soft_equalize
 from torchreg.errors import expect, fraction
 from torchreg.nn.precision import full_precision
@@ -38,6 +39,7 @@ class Equalize(nn.Module):
         ValueError: a bandwidth out of its range.
     """
 
+    @checked
     def __init__(self, *, bandwidth: float = 1.0) -> None:
         super().__init__()
         self.bandwidth = fraction(bandwidth, "bandwidth")

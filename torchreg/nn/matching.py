@@ -9,9 +9,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.fuse import fuse, rooted
-from torchreg.errors import at_least, expect, expect_shape, fraction, one_of, positive
+from torchreg.errors import at_least, expect, expect_shape, finite, fraction, one_of, positive
 from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
@@ -39,11 +40,12 @@ class Fuse(nn.Module):
         ValueError: no weights, one that is not above 0, or a root out of its range.
     """
 
+    @checked
     def __init__(self, weights: Sequence[float] = (1.0, 1.0), *, root: float = 0.0) -> None:
         super().__init__()
         self.root = fraction(root, "root", zero=True)
         expect(len(weights) > 0, "weights", "at least one", weights)
-        self.log_weights = nn.Parameter(torch.tensor([positive(weight, "weights") for weight in weights]).log())
+        self.log_weights = nn.Parameter(_of_float32([positive(weight, "weights") for weight in weights]).log())
 
     @property
     def weights(self) -> Tensor:
@@ -100,6 +102,7 @@ class SoftMatch(nn.Module):
         ValueError: an unknown method, a number out of its range, or Sinkhorn without a dustbin.
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -112,8 +115,8 @@ class SoftMatch(nn.Module):
         self.method = one_of(method, "method", METHODS)
         self.iterations = at_least(iterations, "iterations", 1)
         expect(method == "dual_softmax" or dustbin is not None, "dustbin", "a number with Sinkhorn", dustbin)
-        self.log_temperature = nn.Parameter(torch.tensor(math.log(positive(temperature, "temperature"))))
-        self.dustbin = None if dustbin is None else nn.Parameter(torch.tensor(float(dustbin)))
+        self.log_temperature = nn.Parameter(_of_float32(math.log(positive(temperature, "temperature"))))
+        self.dustbin = None if dustbin is None else nn.Parameter(_of_float32(finite(dustbin, "dustbin")))
 
     @property
     def temperature(self) -> Tensor:
@@ -151,6 +154,7 @@ class WeightedKabsch(nn.Module):
         ValueError: numbers out of their range, or a scale without rounds.
     """
 
+    @checked
     def __init__(self, *, rounds: int = 0, scale: float | None = None) -> None:
         super().__init__()
         self.rounds = at_least(rounds, "rounds", 0)
@@ -213,3 +217,8 @@ class WeightedKabsch(nn.Module):
     def extra_repr(self) -> str:
         """What ``print`` shows."""
         return f"rounds={self.rounds}, scale={self.scale}"
+
+
+def _of_float32(values: float | list[float]) -> Tensor:
+    """Weights to begin with, of one dtype whatever the default is."""
+    return torch.tensor(values, dtype=torch.float32)

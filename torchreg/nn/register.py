@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.pcfh import Pcfh
@@ -71,6 +72,7 @@ class Register(nn.Module):
         (torch.Size([1, 4, 4]), True)
     """
 
+    @checked
     def __init__(
         self,
         options: RegistrationOptions | None = None,
@@ -122,7 +124,7 @@ class Register(nn.Module):
         matches = self.match(source_features, target_features)
         scale = None
         if self.solve.rounds > 0 and self.solve.scale is None:
-            scale = torch.tensor([option.inlier_threshold for option in per_pair])
+            scale = torch.tensor([option.inlier_threshold for option in per_pair], dtype=torch.float32)
         T = self.solve(source, target, matches, scale=scale)
         return SoftRegistration(T, matches, source, target, source_features, target_features)
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks
@@ -23,6 +24,7 @@ from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import spans
 
 
+@entry
 def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | None = None) -> Clouds:
     """Clouds with unit normals that face the viewpoint.
 

@@ -12,6 +12,7 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_device, expect_floating
 from torchreg.geometry.numerics.threads import shared_out, undisturbed
 from torchreg.geometry.se3 import apply_rotation
@@ -30,6 +31,7 @@ _RIGID = 1e-3  # largest entry of R R^T - I that passes for rounding
 _LARGEST = 1e100  # coordinates whose squares and their sums stay finite
 
 
+@entry
 def icp(
     source: Clouds,
     target: Clouds,

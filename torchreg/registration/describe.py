@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import undisturbed
@@ -56,6 +57,7 @@ def description_of(options: RegistrationOptions, *, colored: bool) -> Descriptio
     )
 
 
+@entry
 def describe_clouds(
     clouds: Clouds, options: RegistrationOptions | Sequence[RegistrationOptions], *, max_bytes: int = 1 << 28
 ) -> DescribedClouds:

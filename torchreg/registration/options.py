@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from torchreg.arguments import checked
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.learned import Learned, shipped_numbers
@@ -92,6 +93,7 @@ class RegistrationOptions:
     # solver and ransac once more: dataclasses.replace passes them on, and the constructor sees which of them changed
     _before: tuple[Solver, RansacOptions] = field(repr=False, compare=False)
 
+    @checked
     def __init__(
         self,
         *,

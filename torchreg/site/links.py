@@ -8,10 +8,13 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, fraction, positive
 from torchreg.geometry.rigid_check import expect_rigid
 
 
+@entry
 def loose_covariance(shift: float, reach: float) -> Tensor:
     """The covariance (6, 6) of a pose that is known to a shift of ``shift`` meters at a distance of ``reach`` meters.
 
@@ -22,6 +25,7 @@ def loose_covariance(shift: float, reach: float) -> Tensor:
     return torch.tensor([turn**2] * 3 + [shift**2] * 3, dtype=torch.float64).diag()
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Link:
     """A candidate for the pose of one scan in the frame of another.
@@ -78,6 +82,7 @@ class Link:
         at_least(self.rank, "rank", 0)
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KnownPose:
     """What is known of the pose of one scan beforehand, such as from a survey: a link to the world.

@@ -48,7 +48,7 @@ class Clouds:
     def __post_init__(self) -> None:
         expect_shape(self.points, "points", ("P", 3), "floating")
         rows, device = self.points.shape[0], self.points.device
-        offsets = torch.tensor([0, rows]) if self.offsets is None else self.offsets
+        offsets = torch.tensor([0, rows], device="cpu") if self.offsets is None else self.offsets
         object.__setattr__(self, "offsets", checked_offsets(offsets, rows))
         for name, value in (("colors", self.colors), ("normals", self.normals)):
             if value is not None:

@@ -72,7 +72,11 @@ class Neighborhoods:
         if radius is not None:
             radius = self._checked_radius(radius)
         if radius is not None and not self._reaches(radius):
-            square = (radius * radius)[:, None] if isinstance(radius, Tensor) else torch.as_tensor(radius**2)
+            square = (
+                (radius * radius)[:, None]
+                if isinstance(radius, Tensor)
+                else torch.as_tensor(radius**2, dtype=torch.float32)
+            )
             valid = valid & (sq_distance < square.to(sq_distance))
         return Neighborhoods(self.index[:, :width], valid, sq_distance, _smaller(self.radius, radius))
 

@@ -33,7 +33,7 @@ def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor
 
 def offsets_of(lengths: Iterable[int]) -> Tensor:
     """Offsets (B+1,) int64 of items of these lengths."""
-    return torch.tensor([0, *accumulate(lengths)], dtype=torch.int64)
+    return torch.tensor([0, *accumulate(lengths)], dtype=torch.int64, device="cpu")
 
 
 def kept_rows(offsets: Tensor, left_out: Sequence[object]) -> tuple[Tensor, Tensor]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
 
@@ -110,6 +111,7 @@ class ScanPairBatch:
         )
 
 
+@entry
 def pack_pairs(pairs: Sequence[ScanPair]) -> ScanPairBatch:
     """Join pairs into one batch: the ``collate_fn`` of a ``DataLoader`` over a dataset of pairs.
 

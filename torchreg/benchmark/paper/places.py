@@ -74,9 +74,8 @@ def simulated_places(seed: int, count: int, *, angular_step: float, variants: bo
     """Malls and roads ``seed`` to ``seed + count - 1``, from one place and, as variants, from two.
 
     Raises:
-        ValueError: ``seed`` below 0 or ``count`` below 1.
+        ValueError: ``count`` below 1.
     """
-    at_least(seed, "seed", 0)
     at_least(count, "seeds", 1)
     wanted = [(mall, MALL, _SAME_PLACE), (road, ROAD, _SAME_PLACE)]
     if variants:
