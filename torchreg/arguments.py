@@ -142,11 +142,16 @@ def _sequence_of(origin: type, inner: tuple[Any, ...]) -> Kind:
 
     if fixed:
         return Kind(accepts, f"({', '.join(kind.words or 'anything' for kind in kinds)})")
-    return Kind(accepts, f"a sequence of {kinds[0].words}" if kinds[0].words else "a sequence")
+    return Kind(accepts, f"a sequence of {_several(kinds[0].words)}" if kinds[0].words else "a sequence")
 
 
 def _is_number(kind: type) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, kind) and not isinstance(value, bool)
+
+
+def _several(words: str) -> str:
+    article, _, noun = words.partition(" ")
+    return f"{noun}s" if article in ("a", "an") else words
 
 
 _PLAIN: dict[Any, Kind] = {
@@ -168,7 +173,12 @@ _NAMES = {
 }
 
 
+def expect_kind(value: object, name: str, kind: Kind) -> None:
+    """Raise ``ArgumentTypeError`` with the argument's name, what was expected and what came, unless it is accepted."""
+    if not kind.accepts(value):
+        raise ArgumentTypeError(f"{name}: expected {kind.words}, got {described_with_type(value)}")
+
+
 def _expect(value: object, parameter: Parameter | None) -> None:
-    if parameter is None or value is parameter.default or parameter.kind.accepts(value):
-        return
-    raise ArgumentTypeError(f"{parameter.name}: expected {parameter.kind.words}, got {described_with_type(value)}")
+    if parameter is not None and value is not parameter.default:
+        expect_kind(value, parameter.name, parameter.kind)

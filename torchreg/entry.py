@@ -8,7 +8,7 @@ neither holds, so that its results have the same bits in any mode; afterwards bo
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchreg.arguments import check, parameters_of
-from torchreg.errors import expect
+from torchreg.errors import describe
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -25,8 +25,9 @@ _DEVICES = ("cpu", *(device.type for device in [torch.accelerator.current_accele
 
 
 def entry(function: Function) -> Function:
-    """Make a function public: arguments checked by its annotations, tensors with values, the same bits in any mode.
+    """Make a function public: arguments checked by its annotations, and the same bits in any mode.
 
+    On the device ``meta``, where tensors have shapes alone, it runs as far as no value is read, and says so there.
     Where a graph is captured (``torch.compile``, ``torch.export``) nothing is checked, and autocast alone is left.
     """
 
@@ -35,11 +36,14 @@ def entry(function: Function) -> Function:
         if torch.compiler.is_compiling():
             return without_autocast(function, args, words)
         check(function, args, words)
-        _expect_values(function, args, words)
-        if torch.get_default_device().type == "cpu":
-            return without_autocast(function, args, words)
-        with _CPU:
-            return without_autocast(function, args, words)
+        try:
+            if torch.get_default_device().type == "cpu":
+                return without_autocast(function, args, words)
+            with _CPU:
+                return without_autocast(function, args, words)
+        except (RuntimeError, IndexError) as error:  # torch's NotImplementedError is a RuntimeError
+            _blame_meta(function, args, words, error)
+            raise
 
     return call  # type: ignore[return-value]
 
@@ -53,17 +57,20 @@ def without_autocast(function: Callable[..., Any], args: Sequence[Any], words: d
     return function(*args, **words)
 
 
-def _expect_values(function: Callable[..., Any], args: Sequence[Any], words: dict[str, Any]) -> None:
-    """Refuse tensors on the device ``meta``, and records of such, which have shapes and no values."""
+def _blame_meta(function: Callable[..., Any], args: Sequence[Any], words: dict[str, Any], error: Exception) -> None:
+    """Raise ``ValueError`` about the first argument on the device ``meta``, if there is one."""
     names = [parameter.name for parameter in parameters_of(function).positional]
     names += ["arguments"] * (len(args) - len(names))
     for name, value in (*zip(names, args, strict=False), *words.items()):
-        expect(not _without_values(value), name, "tensors with values", "some on the device meta, which have none")
+        meta = next((part for part in _tensors_of(value) if part.is_meta), None)
+        if meta is not None:
+            what = f"{function.__name__} reads values, which a tensor on the device meta has none of"
+            raise ValueError(f"{name}: expected a tensor with values, got {describe(meta)}: {what}") from error
 
 
-def _without_values(value: object) -> bool:
-    if isinstance(value, Tensor):
-        return value.is_meta
-    if is_dataclass(value) and not isinstance(value, type):
-        return any(isinstance(each, Tensor) and each.is_meta for each in vars(value).values())
-    return False
+def _tensors_of(value: object) -> Iterable[Tensor]:
+    """A tensor, or those of a record or of a sequence of these."""
+    if isinstance(value, (list, tuple)):
+        return (part for each in value for part in _tensors_of(each))
+    parts = vars(value).values() if is_dataclass(value) and not isinstance(value, type) else [value]
+    return (part for part in parts if isinstance(part, Tensor))

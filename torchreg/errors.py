@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from numbers import Integral, Real
 from typing import Literal
 
 import torch
 from torch import Tensor
+
+LARGEST_NUMBER = 1e18
+"""A length, threshold or temperature is no larger: its square is finite in float32 too."""
+
+LARGEST_INTEGER = 2**63 - 1
+"""A count is no larger: tensors keep it in 64 bits."""
 
 
 class CloudFileError(ValueError):
@@ -32,10 +39,12 @@ def describe(value: object) -> str:
 
 
 def described_with_type(value: object) -> str:
-    """The same, and the type where the ``repr`` does not show it."""
-    if value is None or isinstance(value, (Tensor, str)):
-        return describe(value) if not isinstance(value, Tensor) else f"a tensor {describe(value)}"
-    return f"{describe(value)} ({type(value).__name__})"
+    """The same, and the type where the ``repr`` does not show it; of a record the type alone."""
+    if isinstance(value, Tensor):
+        return f"a tensor {describe(value)}"
+    if is_dataclass(value):
+        return type(value).__name__
+    return describe(value) if value is None or isinstance(value, str) else f"{describe(value)} ({type(value).__name__})"
 
 
 def expect_shape(
@@ -81,16 +90,18 @@ def expect_device(value: Tensor, name: str, device: torch.device) -> None:
 
 
 def positive(value: float, name: str) -> float:
-    """Return ``value`` if it is a finite number above zero, else raise ``ValueError``."""
+    """Return ``value`` if it is a number above zero, at most ``LARGEST_NUMBER``, else raise ``ValueError``."""
     number = isinstance(value, Real) and not isinstance(value, bool)
     expect(number and 0 < value < float("inf"), name, "a finite number above 0", value)
+    expect(value <= LARGEST_NUMBER, name, f"a number above 0, at most {LARGEST_NUMBER:g}", value)
     return float(value)
 
 
 def finite(value: float, name: str) -> float:
-    """Return ``value`` if it is a finite number, else raise ``ValueError``."""
+    """Return ``value`` if it is a number of at most ``LARGEST_NUMBER`` in size, else raise ``ValueError``."""
     number = isinstance(value, Real) and not isinstance(value, bool)
     expect(number and abs(value) < float("inf"), name, "a finite number", value)
+    expect(abs(value) <= LARGEST_NUMBER, name, f"a number of at most {LARGEST_NUMBER:g} in size", value)
     return float(value)
 
 
@@ -106,6 +117,7 @@ def at_least(value: int, name: str, least: int) -> int:
     """Return ``value`` if it is an integer of at least ``least``, else raise ``ValueError``."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     expect(whole and value >= least, name, f"an integer of at least {least}", value)
+    expect(value <= LARGEST_INTEGER, name, f"an integer of at most {LARGEST_INTEGER}", value)
     return value
 
 

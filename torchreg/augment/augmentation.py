@@ -15,7 +15,8 @@ from torch import Tensor, nn
 
 from torchreg.arguments import checked
 from torchreg.augment.streams import SeedStream, derived_seed, generator_of
-from torchreg.errors import expect, fraction
+from torchreg.entry import entry
+from torchreg.errors import expect, finite, fraction
 from torchreg.geometry.se3 import compose, inverse
 from torchreg.types import Clouds
 from torchreg.types.scan_pair import ScanPair, ScanPairBatch
@@ -69,6 +70,7 @@ class Augmentation(nn.Module):
         """Change the clouds; their number and order stay."""
         return self.tracked(clouds).clouds
 
+    @entry
     def tracked(self, clouds: Clouds, seeds: Sequence[int] | None = None) -> Tracked:
         """Change the clouds and return their motion too.
 
@@ -181,6 +183,7 @@ class AugmentPair(nn.Module):
         self.source, self.target = source, target
         self._stream = SeedStream(generator)
 
+    @entry
     def forward(self, pair: PairType) -> PairType:
         """Change one pair or a batch of pairs; the type stays."""
         if not self.training:
@@ -220,7 +223,7 @@ def checked_range(value: tuple[float, float], name: str, low: float, high: float
 
 def checked_size(value: float, name: str, unit: str, high: float = float("inf")) -> float:
     """Return a number in [0, high], finite, else raise ``ValueError``."""
-    legal = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= high
     ends = "of at least 0" if high == float("inf") else f"in [0, {high:g}]"
-    expect(legal and value < float("inf"), name, f"{unit} {ends}", value)
+    expect(0 <= value <= high and value < float("inf"), name, f"{unit} {ends}", value)
+    finite(value, name)
     return float(value)

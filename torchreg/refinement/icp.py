@@ -15,6 +15,7 @@ from torch import Tensor
 from torchreg.entry import entry
 from torchreg.errors import expect, expect_device, expect_floating
 from torchreg.geometry.numerics.threads import shared_out, undisturbed
+from torchreg.geometry.rigid_check import expect_all_rigid
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.native import kernel_threads
 from torchreg.refinement.levels import refine_levels
@@ -56,7 +57,8 @@ def icp(
         are detached.
 
     Raises:
-        ValueError: sizes, dtypes or devices do not fit; normals or colors are missing.
+        ValueError: sizes, dtypes or devices do not fit; normals or colors are missing; a transform that is finite and
+            not rigid within 1e-3, such as a reflection.
 
     Example:
         >>> import torch
@@ -77,7 +79,10 @@ def icp(
         T_target_source,
     )
     expect_floating(T_target_source, "T_target_source")
-    T = T_target_source.to(source.device, torch.float64).expand(pairs, 4, 4)
+    T = T_target_source.detach().to(source.device, torch.float64)
+    finite = T.isfinite().all(dim=-1).all(dim=-1)[..., None, None]  # one that is not is a failure of its pair alone
+    expect_all_rigid(torch.where(finite, T, torch.eye(4).to(T)), "T_target_source", _RIGID)
+    T = T.expand(pairs, 4, 4)
     with undisturbed(source.points):
         return refine_pairs(source, target, Pairing(range(pairs), range(pairs)), T, _per_pair(options, pairs))
 

@@ -18,6 +18,8 @@ from torchreg.types.lengths import length, scaled
 
 AnySolver = TypeVar("AnySolver", bound=Solver)
 
+_AS_BEFORE: Any = object()  # in place of options of RANSAC: those that there are
+
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
 REFINEMENTS = ("none", "coarse", "full")
@@ -106,7 +108,7 @@ class RegistrationOptions:
         ratio: float | None = None,
         match_neighbors: int = 1,
         solver: Solver | str | None = None,
-        ransac: RansacOptions | None = None,
+        ransac: RansacOptions = _AS_BEFORE,
         effort: str = "plain",
         refine: str = "none",
         refine_points: int = REFINE_POINTS,
@@ -119,7 +121,7 @@ class RegistrationOptions:
         expect(len(shares) == len(records), "weights", f"one per descriptor ({len(records)})", shares)
         expect(ratio is None or match_neighbors == 1, "match_neighbors", "1 beside a ratio", match_neighbors)
         records, shares = by_former_names(records, shares, former)
-        both = _solvers(solver, ransac, _before)
+        both = _solvers(solver, None if ransac is _AS_BEFORE else ransac, _before)
         values = {
             "voxel_size": voxel_size if voxel_size is None else positive(voxel_size, "voxel_size"),
             "normal_radius": positive(normal_radius, "normal_radius"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -10,7 +9,7 @@ from torch import Tensor
 
 from torchreg.arguments import checked_record
 from torchreg.entry import entry
-from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.errors import at_least, expect, finite, fraction, one_of, positive
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.seeds import generator_of
 from torchreg.types import Clouds, Correspondences
@@ -83,7 +82,7 @@ def match_problem(
     fraction(rival, "rival", zero=True)
     one_of(place, "place", PLACES)
     positive(size, "size")
-    expect(0 <= noise < math.inf, "noise", "meters of at least 0", noise)
+    expect(finite(noise, "noise") >= 0, "noise", "meters of at least 0", noise)
     wrong, rivals = round(outlier_ratio * count), round(rival * count)
     expect(rivals <= wrong, "rival", f"at most the share of wrong matches, {outlier_ratio}", rival)
     generator = generator_of(seed)

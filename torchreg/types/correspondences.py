@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import expect, expect_shape
 from torchreg.types.packing import checked_offsets, spans
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class Correspondences:
     """Putative matches of ``B`` pairs of clouds, packed.
@@ -39,6 +41,7 @@ class Correspondences:
         return len(self.offsets) - 1
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class SoftCorrespondences:
     """Soft matches of ``B`` pairs of clouds: one dense matrix each, since every point may match every other.

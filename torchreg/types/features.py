@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import expect, expect_shape
 from torchreg.types.packing import checked_offsets
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class Features:
     """One descriptor per point of a packed batch.

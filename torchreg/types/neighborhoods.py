@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import at_least, expect, expect_shape, positive
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class Neighborhoods:
     """Up to ``K`` neighbors of every point, ascending by (squared distance, index).

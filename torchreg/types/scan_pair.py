@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class ScanPair:
     """A source scan, a target scan and their true motion, which a registration should find.
@@ -46,6 +48,7 @@ class ScanPair:
         return bool(self.T_target_source.isfinite().all())
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class ScanPairBatch:
     """``B`` scan pairs, their clouds packed.
