@@ -22,7 +22,7 @@ AnyDescriptor = TypeVar("AnyDescriptor", bound="Descriptor")
 
 def largest_entries(values: Tensor) -> Tensor:
     """The largest magnitude (P,) in every row of features (P, D), NaN in rows that hold one, zero in zero rows."""
-    return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(len(values))
+    return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(values.shape[0])
 
 
 @checked_record

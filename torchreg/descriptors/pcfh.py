@@ -31,6 +31,7 @@ from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.neighborhoods import expect_rows
 
 CHANNELS = ("hue", "saturation", "value")
 EQUALIZATIONS = ("none", "cloud", "joint")
@@ -86,7 +87,7 @@ def pcfh(
     expect(len(channels) > 0, "channels", "at least one channel", channels)
     for channel in channels:
         one_of(channel, "channels", CHANNELS)
-    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_rows(near, cloud)
     expect_binning(binning, bandwidth, edges=edges, neighbor_weights=neighbor_weights)
     if values is None:
         values = (
@@ -94,7 +95,7 @@ def pcfh(
             if binning == "hard"
             else _soft_color_values(cloud, equalization, bandwidth)
         )
-    expect_shape(values, "values", (len(cloud.points), 3), "floating")
+    expect_shape(values, "values", (cloud.points.shape[0], 3), "floating")
     expect_finite(values, "values")
     if binning == "hard":
         hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
@@ -188,9 +189,8 @@ def _soft_color_values(cloud: Clouds, equalization: str, bandwidth: float) -> Te
 
 def _neighbor_counts(near: Neighborhoods) -> Tensor:
     """(P,) int64: the neighbors of every point besides itself."""
-    parts = [
-        neighbor_votes(near.index, near.valid, rows).sum(dim=1) for rows in row_chunks(len(near), near.max_neighbors)
-    ]
+    pieces = row_chunks(*near.index.shape)
+    parts = [neighbor_votes(near.index, near.valid, rows).sum(dim=1) for rows in pieces]
     return torch.cat(parts) if parts else near.index.new_zeros(0)
 
 
@@ -201,9 +201,9 @@ def _own_histograms(
     if native(values, near.index, near.valid) and values.dtype == torch.float32:
         return _histograms_compiled(values, near, bins, channels, saturation_weighting)
     columns = {name: values[:, CHANNELS.index(name)].contiguous() for name in (*channels, "saturation")}
-    out = values.new_empty(len(values), bins * len(channels))
-    enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
-    for part in row_chunks(len(values), near.max_neighbors):
+    out = values.new_empty(values.shape[0], bins * len(channels))
+    enough = torch.empty(values.shape[0], dtype=torch.bool, device=values.device)
+    for part in row_chunks(values.shape[0], near.max_neighbors):
         index = near.index[part]
         ones = neighbor_votes(near.index, near.valid, part).to(torch.int32)
         enough[part] = ones.sum(dim=1) >= MIN_NEIGHBORS

@@ -21,6 +21,7 @@ from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import KERNEL_TYPES, call, native, rows
 from torchreg.types import Clouds, Neighborhoods
+from torchreg.types.neighborhoods import expect_rows
 from torchreg.types.packing import spans
 
 
@@ -48,7 +49,7 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     Raises:
         ValueError: shapes do not fit.
     """
-    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_rows(near, cloud)
     if viewpoint is not None:
         expect(viewpoint.shape in ((3,), (len(cloud), 3)), "viewpoint", f"(3,) or ({len(cloud)}, 3)", viewpoint)
         viewpoint = viewpoint.expand(len(cloud), 3)

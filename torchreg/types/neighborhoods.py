@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchreg.arguments import checked_record
 from torchreg.errors import at_least, expect, expect_shape, positive
+from torchreg.types.clouds import Clouds
 
 
 @checked_record
@@ -117,3 +118,10 @@ def _smaller(one: float | Tensor | None, other: float | Tensor | None) -> float 
     if isinstance(one, Tensor):
         return torch.minimum(one, other) if isinstance(other, Tensor) else one.clamp(max=other)
     return other.clamp(max=one) if isinstance(other, Tensor) else min(one, other)
+
+
+def expect_rows(near: Neighborhoods, cloud: Clouds) -> None:
+    """Check that there is one neighborhood for every point of a batch of clouds."""
+    points, rows = cloud.points.shape[0], near.index.shape[0]
+    if points != rows:
+        raise ValueError(f"near: expected neighborhoods of {points} points, got {rows}")
