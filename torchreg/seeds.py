@@ -43,7 +43,8 @@ def generator_of(seed: int) -> torch.Generator:
 
 def open3d_seed(seed: int) -> int:
     """A seed for Open3D's generator, which takes 31 bits."""
-    return torch_seed(seed) % (1 << 31)
+    seed = torch_seed(seed)
+    return seed if seed < 1 << 31 else _digest(seed, 4) >> 1
 
 
 def _digest(seed: int, size: int) -> int:

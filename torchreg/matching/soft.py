@@ -72,8 +72,9 @@ def soft_match(
     confidences = partial(dual_softmax, dustbin=no_partner)
     if method == "sinkhorn" and no_partner is not None:
         confidences = partial(sinkhorn, dustbin=no_partner, iterations=iterations)
+    rows = (spans(side.offsets, side.values.shape[0]) for side in (source, target))
     confidence = []
-    for (i, j), (k, m) in zip(spans(source.offsets), spans(target.offsets), strict=True):
+    for (i, j), (k, m) in zip(*rows, strict=True):
         masks = source.valid[i:j], target.valid[k:m]
         distance = squared_distances(source.values[i:j], target.values[k:m], *masks)
         confidence.append(confidences(-distance / scale, source_valid=masks[0], target_valid=masks[1]))

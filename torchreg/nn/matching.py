@@ -182,15 +182,14 @@ class WeightedKabsch(nn.Module):
             ValueError: clouds other than those of the matches, or no scale for the rounds.
         """
         sides = (("source", source, matches.source_offsets), ("target", target, matches.target_offsets))
-        for name, side, offsets in sides:
+        for name, side, offsets in sides if not torch.compiler.is_compiling() else ():
             same = torch.equal(side.offsets, offsets)
             expect(same, name, f"the clouds of the matches, {offsets.tolist()}", side.offsets.tolist())
         scales = self._scales(len(source), scale, source.points)
+        rows = (spans(side.offsets, side.points.shape[0]) for side in (source, target))
         poses = [
             self._solve(source.points[i:j], target.points[k:m], confidence.to(source.points), scales[b])
-            for b, ((i, j), (k, m), confidence) in enumerate(
-                zip(spans(source.offsets), spans(target.offsets), matches.confidence, strict=True)
-            )
+            for b, ((i, j), (k, m), confidence) in enumerate(zip(*rows, matches.confidence, strict=True))
         ]
         T = torch.stack(poses).double() if poses else source.origin.new_zeros(0, 4, 4)
         R = T[:, :3, :3]

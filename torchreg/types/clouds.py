@@ -71,7 +71,7 @@ class Clouds:
     @property
     def lengths(self) -> list[int]:
         """The number of points of every cloud."""
-        return [end - begin for begin, end in spans(self.offsets)]
+        return [end - begin for begin, end in spans(self.offsets, self.points.shape[0])]
 
     @property
     def device(self) -> torch.device:

@@ -63,6 +63,8 @@ class SoftCorrespondences:
         for name in ("source_offsets", "target_offsets"):
             offsets = getattr(self, name)
             expect_shape(offsets, name, (pairs + 1,))
+            if torch.compiler.is_compiling():  # where values are not known
+                return
             object.__setattr__(self, name, checked_offsets(offsets, int(offsets[-1]), name))
         rows, columns = spans(self.source_offsets), spans(self.target_offsets)
         for matrix, (i, j), (k, m) in zip(self.confidence, rows, columns, strict=True):
