@@ -22,7 +22,6 @@ class Setting:
     metavar: str | None = None  # the name of its value there; ``None`` shows the choices or the type
     choices: tuple[str, ...] = ()  # the values that it may have; empty for any
     least: int | None = None  # the least value of a whole number
-    most: int | None = None  # the largest
     change: Change | None = None  # sets its value in options; ``None`` where it changes no ``RegistrationOptions``
     of_ransac: bool = False  # whether only RANSAC reads it
 

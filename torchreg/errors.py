@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from numbers import Integral, Real
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+LARGEST_NUMBER = 1e18
+"""A length, threshold or temperature is no larger: its square is finite in float32 too."""
+
+LARGEST_INTEGER = 2**63 - 1
+"""A count is no larger: tensors keep it in 64 bits."""
+
 
 class CloudFileError(ValueError):
     """A file that cannot be read as a point cloud; the message names the file and what is wrong with it."""
+
+
+class ArgumentTypeError(TypeError, ValueError):
+    """An argument of a wrong type: a ``TypeError``, and a ``ValueError`` as everything else wrong with arguments is."""
 
 
 def expect(condition: bool, name: str, expected: str, received: object) -> None:
@@ -27,6 +38,15 @@ def describe(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+def described_with_type(value: object) -> str:
+    """The same, and the type where the ``repr`` does not show it; of a record the type alone."""
+    if isinstance(value, Tensor):
+        return f"a tensor {describe(value)}"
+    if is_dataclass(value):
+        return type(value).__name__
+    return describe(value) if value is None or isinstance(value, str) else f"{describe(value)} ({type(value).__name__})"
+
+
 def expect_shape(
     value: Tensor,
     name: str,
@@ -40,7 +60,7 @@ def expect_shape(
     """
     expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
     if not isinstance(value, Tensor):
-        raise ValueError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
+        raise ArgumentTypeError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
     fits = value.ndim == len(shape) and all(
         isinstance(want, str) or want == have for want, have in zip(shape, value.shape, strict=True)
     )
@@ -70,9 +90,18 @@ def expect_device(value: Tensor, name: str, device: torch.device) -> None:
 
 
 def positive(value: float, name: str) -> float:
-    """Return ``value`` if it is a finite number above zero, else raise ``ValueError``."""
+    """Return ``value`` if it is a number above zero, at most ``LARGEST_NUMBER``, else raise ``ValueError``."""
     number = isinstance(value, Real) and not isinstance(value, bool)
     expect(number and 0 < value < float("inf"), name, "a finite number above 0", value)
+    expect(value <= LARGEST_NUMBER, name, f"a number above 0, at most {LARGEST_NUMBER:g}", value)
+    return float(value)
+
+
+def finite(value: float, name: str) -> float:
+    """Return ``value`` if it is a number of at most ``LARGEST_NUMBER`` in size, else raise ``ValueError``."""
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    expect(number and abs(value) < float("inf"), name, "a finite number", value)
+    expect(abs(value) <= LARGEST_NUMBER, name, f"a number of at most {LARGEST_NUMBER:g} in size", value)
     return float(value)
 
 
@@ -88,6 +117,7 @@ def at_least(value: int, name: str, least: int) -> int:
     """Return ``value`` if it is an integer of at least ``least``, else raise ``ValueError``."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     expect(whole and value >= least, name, f"an integer of at least {least}", value)
+    expect(value <= LARGEST_INTEGER, name, f"an integer of at most {LARGEST_INTEGER}", value)
     return value
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
 
+from torchreg.arguments import checked_record
 from torchreg.declaration import Change, Setting, declared, setting, value_of
 from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.io.placement import viewpoint_of_text
@@ -29,9 +30,6 @@ _RANSAC = RansacOptions()
 
 LARGEST_READ = 2_000_000
 """Points that the commands take from a file as they are; a larger file is thinned to no more while it is read."""
-
-LARGEST_SEED = 2**63 - 1
-"""As PyTorch and every file format keep a whole number, in 64 bits with a sign."""
 
 
 def _length(change: Change, text: str) -> Any:  # noqa: ANN401
@@ -161,10 +159,8 @@ class StageSettings:
     seed: int = setting(
         0,
         "Run",
-        "Seed of every random draw, a whole number: the same seed gives the same result.",
+        "Seed of every random draw, any whole number: the same seed gives the same result.",
         metavar="NUMBER",
-        least=0,
-        most=LARGEST_SEED,
     )
 
     def __post_init__(self) -> None:
@@ -173,8 +169,6 @@ class StageSettings:
                 one_of(value, name, known.choices)
             if known.least is not None:
                 at_least(value, name, known.least)
-            if known.most is not None:
-                expect(value <= known.most, name, f"an integer of at most {known.most}", value)
         viewpoint_of_text(self.viewpoint)
         self._expect_readers()
         self.over(PAPER)
@@ -299,6 +293,7 @@ class Settings(StageSettings):
         return options.solver.name if self.solver is None else self.solver
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class PairSettings(Settings):
     """The settings of ``torchreg batch`` for its pairs. A column of the pairs file changes a setting for its pair."""

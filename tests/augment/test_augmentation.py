@@ -166,7 +166,7 @@ def test_refusals(batch):
         augment.Jitter(generator=5)
     with refuses("members", "at least one"):
         augment.Compose()
-    with refuses("members", "augmentations"):
+    with refuses("members", "Augmentation", "Identity"):
         augment.Compose(torch.nn.Identity())
     with refuses("seeds", "3 numbers"):
         augment.Jitter().tracked(batch, [1])

@@ -101,5 +101,5 @@ def test_refusals():
         Illumination(gamma=0.5)
     with refuses("exposure", "stops in [0, 8]"):
         Illumination(exposure=-1)
-    with refuses("white_balance", "stops"):
+    with refuses("white_balance", "a number", "much"):
         Illumination(white_balance="much")

@@ -121,7 +121,7 @@ def test_spawned_workers_draw_as_forked_ones(tmp_path):
 
 
 def test_refusals():
-    with refuses("source", "an augmentation"):
+    with refuses("source", "Augmentation"):
         augment.AugmentPair(torch.nn.Identity())
-    with refuses("target", "an augmentation"):
+    with refuses("target", "Augmentation"):
         augment.AugmentPair(augment.Jitter(), torch.nn.Identity())

@@ -124,7 +124,7 @@ def test_jitter_is_normal_and_cut_off():
 def test_refusals():
     with refuses("keep", "(low, high) within [0, 1]", "(0.5, 1.2)"):
         RandomCrop(keep=(0.5, 1.2))
-    with refuses("keep", "(low, high)", "0.5"):
+    with refuses("keep", "(a number, a number)", "0.5"):
         RandomThin(keep=0.5)
     with refuses("shape", "'sphere'"):
         RandomCrop(shape="cone")

@@ -87,7 +87,7 @@ def test_simulated_places_are_scanned_from_one_place_and_as_variants_from_two():
     with refuses("seeds"):
         simulated_places(0, 0, angular_step=2.0)
     with refuses("seed"):
-        simulated_places(-1, 1, angular_step=2.0)
+        simulated_places(1.5, 1, angular_step=2.0)
 
 
 def entry(**changes):

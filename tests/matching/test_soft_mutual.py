@@ -147,7 +147,7 @@ def test_neither_threads_nor_tiles_change_a_bit():
 @pytest.mark.parametrize("neighbors", [0, -1, 1.5, True])
 def test_a_number_of_neighbors_that_is_none_is_refused(neighbors):
     one = features(torch.rand(4, 3))
-    with refuses("neighbors", "at least 1", repr(neighbors)):
+    with refuses("neighbors", "an integer", repr(neighbors)):
         tr.match_mutual(one, one, neighbors=neighbors)
 
 

@@ -218,10 +218,10 @@ def test_nothing_given_is_written_to():
     assert all(same_bits(one, other) for one, other in zip(before, pair[:2], strict=True))
 
 
-@pytest.mark.parametrize("seed", [2**63, 2**64, -(2**63) - 1, 1.5, "1"])
-def test_a_seed_that_64_bits_do_not_hold_is_refused(seed):
+@pytest.mark.parametrize("seed", [1.5, "1", None, True])
+def test_a_seed_that_is_no_integer_is_refused(seed):
     pair = room_pair(300)
-    with refuses("seed", "an integer of 64 bits"):
+    with refuses("seed", "an integer"):
         tr.register(pair.source, pair.target, ROOM, seed=seed)
 
 

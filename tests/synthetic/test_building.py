@@ -187,7 +187,6 @@ def test_rows_of_rooms_fill_their_wings(seed):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"seed": -1}, "seed: expected an integer of at least 0, got -1"),
         ({"scans": 4}, "scans: expected an integer of at least 5, got 4"),
         ({"scans": 8, "floors": 5}, "scans: expected an integer of at least 9, got 8"),
         ({"scans": 501}, "scans: expected at most 500, got 501"),
@@ -197,7 +196,7 @@ def test_rows_of_rooms_fill_their_wings(seed):
         ({"variety": 1.5}, r"variety: expected a number in \[0, 1\], got 1.5"),
         ({"angular_step": 0.0}, r"angular_step: expected degrees in \[0.1, 5\], got 0.0"),
         ({"range_noise": float("nan")}, "range_noise: expected meters"),
-        ({"relight": "sunny"}, "relight: expected a number .* got 'sunny'"),
+        ({"relight": "sunny"}, "relight: expected a number, got 'sunny'"),
     ],
 )
 def test_bad_arguments(options, message):

@@ -75,8 +75,7 @@ def test_one_place_can_be_scanned_twice(place):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"seed": -1}, "seed: expected an integer of at least 0, got -1"),
-        ({"seed": 1.5}, "seed: expected an integer of at least 0, got 1.5"),
+        ({"seed": 1.5}, "seed: expected an integer, got 1.5"),
         ({"baseline": -0.1}, r"baseline: expected meters in \[0, (16|30)\], got -0.1"),
         ({"baseline": 31}, r"baseline: expected meters in \[0, (16|30)\], got 31"),
         ({"angular_step": 0.0}, "angular_step: expected"),
@@ -84,7 +83,7 @@ def test_one_place_can_be_scanned_twice(place):
         ({"range_noise": -0.001}, "range_noise: expected"),
         ({"range_noise": float("nan")}, "range_noise: expected"),
         ({"relight": 3}, "relight: expected"),
-        ({"relight": "sunny"}, "relight: expected a number .* got 'sunny'"),
+        ({"relight": "sunny"}, "relight: expected a number, got 'sunny'"),
     ],
 )
 def test_bad_arguments(place, options, message):

@@ -13,8 +13,10 @@ from typing import TypeVar, cast
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.augment.streams import SeedStream, derived_seed, generator_of
-from torchreg.errors import expect, fraction
+from torchreg.entry import entry
+from torchreg.errors import expect, finite, fraction
 from torchreg.geometry.se3 import compose, inverse
 from torchreg.types import Clouds
 from torchreg.types.scan_pair import ScanPair, ScanPairBatch
@@ -57,6 +59,7 @@ class Augmentation(nn.Module):
         ValueError: a probability outside [0, 1], or a generator that is not on the CPU.
     """
 
+    @checked
     def __init__(self, *, probability: float = 1.0, generator: torch.Generator | None = None) -> None:
         super().__init__()
         self.probability = fraction(probability, "probability", zero=True)
@@ -67,6 +70,7 @@ class Augmentation(nn.Module):
         """Change the clouds; their number and order stay."""
         return self.tracked(clouds).clouds
 
+    @entry
     def tracked(self, clouds: Clouds, seeds: Sequence[int] | None = None) -> Tracked:
         """Change the clouds and return their motion too.
 
@@ -124,6 +128,7 @@ class Compose(Augmentation):
         [5]
     """
 
+    @checked
     def __init__(
         self, *members: Augmentation, probability: float = 1.0, generator: torch.Generator | None = None
     ) -> None:
@@ -167,6 +172,7 @@ class AugmentPair(nn.Module):
         False
     """
 
+    @checked
     def __init__(
         self, source: Augmentation, target: Augmentation | None = None, *, generator: torch.Generator | None = None
     ) -> None:
@@ -177,6 +183,7 @@ class AugmentPair(nn.Module):
         self.source, self.target = source, target
         self._stream = SeedStream(generator)
 
+    @entry
     def forward(self, pair: PairType) -> PairType:
         """Change one pair or a batch of pairs; the type stays."""
         if not self.training:
@@ -216,7 +223,7 @@ def checked_range(value: tuple[float, float], name: str, low: float, high: float
 
 def checked_size(value: float, name: str, unit: str, high: float = float("inf")) -> float:
     """Return a number in [0, high], finite, else raise ``ValueError``."""
-    legal = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= high
     ends = "of at least 0" if high == float("inf") else f"in [0, {high:g}]"
-    expect(legal and value < float("inf"), name, f"{unit} {ends}", value)
+    expect(0 <= value <= high and value < float("inf"), name, f"{unit} {ends}", value)
+    finite(value, name)
     return float(value)

@@ -10,8 +10,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked
 from torchreg.augment.augmentation import Augmentation, Tracked, checked_size, unmoved
 from torchreg.descriptors.color import hsv
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.types import Clouds
 
@@ -42,6 +44,7 @@ class Illumination(Augmentation):
         True
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -77,6 +80,7 @@ class Illumination(Augmentation):
         return Tracked(replace(cloud, colors=colors), unmoved(cloud))
 
 
+@entry
 def shift_hue(colors: Tensor, turns: float) -> Tensor:
     """Colors whose hue is shifted along the color circle; saturation and value stay, and so do grays.
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked
 from torchreg.augment.augmentation import Augmentation, Tracked, checked_size, unmoved
 from torchreg.errors import one_of
 from torchreg.geometry.se3 import apply_rotation, rigid, transform
@@ -40,6 +41,7 @@ class RandomMotion(Augmentation):
         True
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -90,6 +92,7 @@ class Jitter(Augmentation):
         True
     """
 
+    @checked
     def __init__(
         self,
         *,

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked
 from torchreg.augment.augmentation import Augmentation, Tracked, checked_range, uniform, unmoved
 from torchreg.errors import expect, one_of, positive
 from torchreg.types import Clouds
@@ -36,6 +37,7 @@ class RandomCrop(Augmentation):
         [50]
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -78,6 +80,7 @@ class RandomThin(Augmentation):
         [25]
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -118,6 +121,7 @@ class RandomVoxels(Augmentation):
         True
     """
 
+    @checked
     def __init__(
         self,
         *,

@@ -12,6 +12,7 @@ from torchreg.preprocess import random_downsample
 from torchreg.registration.inspect import facts_of, too_wide
 from torchreg.registration.same_clouds import digest_of
 from torchreg.registration.spacing import MAX_POINTS, CloudScale
+from torchreg.seeds import torch_seed
 from torchreg.settings import StageSettings
 from torchreg.types import Clouds
 
@@ -67,7 +68,7 @@ def read_source(source: CloudSource) -> Clouds:
     if source.points is None:
         return cloud
     # points are chosen once for all pairs of a cloud; from a copy of it that was moved, others are chosen
-    seed = int(digest_of(cloud)[:12], 16) ^ source.seed
+    seed = int(digest_of(cloud)[:12], 16) ^ torch_seed(source.seed)
     return random_downsample(cloud, source.points, generator=torch.Generator().manual_seed(seed))
 
 

@@ -23,6 +23,7 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, Dataset
 
+from torchreg.arguments import checked
 from torchreg.batch.engine import Job, Outcome, attempt, load_and_compute
 from torchreg.errors import at_least
 
@@ -41,6 +42,7 @@ class LocalEngine:
         device: where to compute.
     """
 
+    @checked
     def __init__(self, workers: int | None = None, device: str = "cpu") -> None:
         self._processes = cores() if workers is None else at_least(workers, "workers", 0)
         self.device = device

@@ -15,6 +15,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io import CLOUD_SUFFIXES, read_pairs_file
 from torchreg.io.formats import AMBIGUOUS_SUFFIXES
@@ -27,6 +29,7 @@ _TAKEN = re.compile(
 )
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Pair:
     """One pair to be registered.
@@ -80,6 +83,7 @@ class Pair:
         return None if self.truth is None else torch.tensor(self.truth, dtype=torch.float64)
 
 
+@entry
 def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
     """The pairs that a table or a list lists; see ``read_pairs_file`` and ``PairSettings`` for its columns.
 
@@ -108,6 +112,7 @@ def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
     )
 
 
+@entry
 def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
     """Every two of the files that a pattern names, each pair once, the earlier name as the source.
 

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from torchreg.arguments import checked
 from torchreg.batch.engine import Job, Outcome, load_and_compute
 from torchreg.errors import at_least, expect
 
@@ -38,6 +39,7 @@ class RayEngine:
         ValueError: Ray is not installed, or no cluster answers at the address.
     """
 
+    @checked
     def __init__(self, workers: int | None = None, address: str | None = None, device: str = "cpu") -> None:
         if workers is not None:
             at_least(workers, "workers", 1)

@@ -19,6 +19,7 @@ from torchreg.batch.rows import RETRIED, Bounds, Row
 from torchreg.batch.run_folder import differences
 from torchreg.batch.store import Store
 from torchreg.batch.survey import Survey, lengths_stand_alone, options_of_pairs, survey_clouds
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io.result_json import plain_data
 from torchreg.registration.options import RegistrationOptions
@@ -43,6 +44,7 @@ class RunCounts(NamedTuple):
     changed: int
 
 
+@entry
 def run(
     pairs: Sequence[Pair],
     store: Store,

@@ -18,6 +18,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, TypeVar
 
+from torchreg.arguments import checked
 from torchreg.batch.clouds import CloudMeasures, CloudSource
 from torchreg.batch.finished import FinishedPair, known_cloud, seconds_of_work
 from torchreg.batch.pairs import Pair
@@ -77,6 +78,7 @@ class Store(RunFolder):
         OSError: it cannot be written.
     """
 
+    @checked
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
         super().__init__(folder, manifest, database=_DATABASE, tables=_TABLES, folders=("pairs",))
         self.damaged: list[str] = []

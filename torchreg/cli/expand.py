@@ -69,7 +69,6 @@ def option_of(group: type, name: str) -> Any:  # noqa: ANN401
         help=setting.help,
         metavar=setting.metavar,
         min=setting.least,
-        max=setting.most,
         rich_help_panel=setting.panel,
     )
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import typer
 from torch import Tensor
 
@@ -19,6 +18,7 @@ from torchreg.preprocess import random_downsample, voxel_downsample
 from torchreg.registration import derive_options
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.spacing import options_of_spacings, spacing, usable
+from torchreg.seeds import generator_of
 from torchreg.settings import PRESETS, Settings, StageSettings
 from torchreg.types import Clouds
 
@@ -109,7 +109,7 @@ def read_pair(paths: CloudArguments, settings: StageSettings) -> ReadPair:
     whole = (files[0].cloud, files[1].cloud)
     used = whole
     if settings.points is not None:
-        generator = torch.Generator().manual_seed(settings.seed)
+        generator = generator_of(settings.seed)
         used = (
             random_downsample(whole[0], settings.points, generator=generator),
             random_downsample(whole[1], settings.points, generator=generator),

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch.utils.data import Dataset, get_worker_info
 
+from torchreg.arguments import checked, checked_record
 from torchreg.errors import expect, positive
 from torchreg.io import read_cloud
 from torchreg.io.assemble import checked_dtype
@@ -17,6 +18,7 @@ from torchreg.preprocess import voxel_downsample
 from torchreg.types.clouds import Clouds
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CloudReader:
     """How the datasets read a cloud.
@@ -87,6 +89,7 @@ class CloudFiles(Dataset[Clouds]):
         reader: reads them.
     """
 
+    @checked
     def __init__(self, paths: Sequence[Path], reader: CloudReader) -> None:
         self.paths = tuple(paths)
         self.reader = reader

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 
+from torchreg.arguments import checked
 from torchreg.datasets.cloud_files import CloudReader
 from torchreg.datasets.scan_pairs import FilePair, PairFiles
 from torchreg.errors import CloudFileError, expect
@@ -52,6 +53,7 @@ class Fragments(PairFiles):
         ValueError: another argument is invalid.
     """
 
+    @checked
     def __init__(
         self,
         folder: str | os.PathLike[str],

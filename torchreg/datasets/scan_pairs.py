@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from torchreg.arguments import checked
 from torchreg.datasets.cloud_files import CloudFiles, CloudReader
 from torchreg.errors import CloudFileError
 from torchreg.io import read_pairs_file
@@ -114,6 +115,7 @@ class ScanPairs(PairFiles):
         [('a__b', 'b__c')]
     """
 
+    @checked
     def __init__(
         self,
         path: str | os.PathLike[str],

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchreg.descriptors.soft.arguments import expect_finite
 from torchreg.descriptors.soft.votes import bin_shares
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape, fraction, one_of
 from torchreg.types import Clouds
 from torchreg.types.packing import checked_offsets, spans
@@ -44,7 +45,7 @@ def equalize(hue: Tensor, offsets: Tensor) -> Tensor:
     The least occupied level maps to 0, the last to 1; a cloud of one level maps to 0. The map depends on counts alone.
     No gradients.
     """
-    parts = [_equalize_one(hue[begin:end]) for begin, end in spans(offsets)]
+    parts = [_equalize_one(hue[begin:end]) for begin, end in spans(offsets, hue.shape[0])]
     return torch.cat(parts) if parts else hue
 
 
@@ -57,6 +58,7 @@ def _equalize_one(hue: Tensor) -> Tensor:
     return ((below - lowest).clamp(min=0).to(hue.dtype) / span.to(hue.dtype))[level]
 
 
+@entry
 def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tensor:
     """Histogram-equalize hues, every packed cloud by itself, with gradients.
 
@@ -79,19 +81,21 @@ def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tenso
     expect_shape(hue, "hue", ("P",), "floating")
     fraction(bandwidth, "bandwidth")
     expect_finite(hue, "hue", unit=True)
-    parts = [_soft_equalize_one(hue[begin:end], bandwidth) for begin, end in spans(checked_offsets(offsets, len(hue)))]
+    count = hue.shape[0]
+    every = spans(checked_offsets(offsets, count), count)
+    parts = [_soft_equalize_one(hue[begin:end], bandwidth) for begin, end in every]
     return torch.cat(parts) if parts else hue
 
 
 def _soft_equalize_one(hue: Tensor, bandwidth: float) -> Tensor:
-    if len(hue) == 0:
+    if hue.shape[0] == 0:
         return hue
     lower, upper, share = (part[0] for part in bin_shares(hue[None], HUE_LEVELS, bandwidth))
     counts = hue.new_zeros(HUE_LEVELS).index_add(0, lower, 1 - share).index_add(0, upper, share)
     below = counts.cumsum(0)
     mapped = below[lower] * (1 - share) + below[upper] * share
     lowest = mapped.amin()
-    return (mapped - lowest) / (len(hue) - lowest).clamp(min=1)
+    return (mapped - lowest) / (hue.shape[0] - lowest).clamp(min=1)
 
 
 def color_values(clouds: Clouds, equalization: str = "cloud") -> Tensor:
@@ -125,6 +129,8 @@ def colors_of(clouds: Clouds) -> Tensor:
     """The colors of clouds; ``ValueError`` where they are missing or not finite."""
     if clouds.colors is None:
         raise ValueError("cloud: expected colors, got none")
+    if torch.compiler.is_compiling():  # where values are not known
+        return clouds.colors
     broken = ~torch.isfinite(clouds.colors).all(dim=1)
     if bool(broken.any()):
         raise ValueError(f"colors: expected finite numbers, got {int(broken.sum())} points without")

@@ -20,8 +20,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.color import colors_of
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
+from torchreg.entry import entry
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
@@ -35,6 +37,7 @@ _FLOOR = 0.05
 _CONSTANT = 0.3
 
 
+@entry
 def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Features:
     """Contrast of every point.
 
@@ -57,11 +60,13 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
         expect(radius.shape == (count,), "radius", f"a number or one per point ({count},)", radius)
         inner = (INNER * radius).square().to(near.sq_distance)[:, None]
     else:
-        inner = torch.as_tensor((INNER * positive(radius, "radius")) ** 2).to(near.sq_distance).expand(count, 1)
+        square = torch.as_tensor((INNER * positive(radius, "radius")) ** 2, dtype=torch.float32)
+        inner = square.to(near.sq_distance).expand(count, 1)
     values = _contrast(colors, near, inner)
     return Features(values, cloud.offsets, (("contrast", CONTRAST_SIZE),), valid=largest_entries(values) != 0)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Contrast(Descriptor):
     """``torchreg.contrast``: spread and shift of brightness per channel, near and far."""

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import at_least, positive
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.lengths import length, scaled
@@ -22,9 +23,10 @@ AnyDescriptor = TypeVar("AnyDescriptor", bound="Descriptor")
 
 def largest_entries(values: Tensor) -> Tensor:
     """The largest magnitude (P,) in every row of features (P, D), NaN in rows that hold one, zero in zero rows."""
-    return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(len(values))
+    return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(values.shape[0])
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Descriptor(ABC):
     """The options of one descriptor, and how it describes a cloud. Subclasses are frozen dataclasses.

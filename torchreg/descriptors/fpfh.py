@@ -17,6 +17,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.pair_features import (
@@ -30,16 +31,19 @@ from torchreg.descriptors.pair_features import (
 )
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
-from torchreg.errors import expect, expect_floating, one_of
+from torchreg.entry import entry
+from torchreg.errors import expect_floating, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.compiled import fusible
 from torchreg.geometry.numerics.gather import gather
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.neighborhoods import expect_rows
 
 FPFH_SIZE = 3 * ANGLE_BINS
 
 
+@entry
 def fpfh(
     cloud: Clouds,
     near: Neighborhoods,
@@ -93,7 +97,7 @@ def fpfh(
     if cloud.normals is None:
         raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
     expect_floating(cloud.points, "points")
-    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_rows(near, cloud)
     expect_finite(cloud.points, "points")
     expect_finite(cloud.normals, "normals")
     if binning == "soft":
@@ -112,6 +116,7 @@ def fpfh(
     return Features(values, cloud.offsets, (("fpfh", FPFH_SIZE),), valid=largest_entries(values) != 0)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Fpfh(Descriptor):
     """``torchreg.fpfh``: 33 numbers of local geometry.
@@ -151,8 +156,8 @@ def simplified_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) 
         return _histograms_compiled(points, normals, near)
     kernel = _exact_bins if points.dtype == torch.float64 else _compact_bins
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
-    out = points.new_empty(len(points), FPFH_SIZE)
-    for part in row_chunks(len(points), near.max_neighbors):
+    out = points.new_empty(points.shape[0], FPFH_SIZE)
+    for part in row_chunks(points.shape[0], near.max_neighbors):
         votes = neighbor_votes(near.index, near.valid, part).to(torch.int32)
         index = near.index[part]
         query = Oriented(*(column[part, None] for column in columns))

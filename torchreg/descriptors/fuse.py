@@ -7,12 +7,14 @@ import math
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, positive
 from torchreg.types import Features
 
 _LEAST = 1e-2  # percent
 
 
+@entry
 def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Features:
     """Scale every block to unit length, row by row, weigh it and concatenate.
 
@@ -32,7 +34,8 @@ def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Featu
     expect(len(weights) == len(features), "weights", f"one per descriptor ({len(features)})", weights)
     first = features[0]
     for other in features[1:]:
-        expect(torch.equal(other.offsets, first.offsets), "features", "descriptors of the same points", other.offsets)
+        same = torch.compiler.is_compiling() or torch.equal(other.offsets, first.offsets)  # a graph reads no value
+        expect(same, "features", "descriptors of the same points", other.offsets)
     for weight in weights:
         positive(weight, "weights")
     blocks = [unit_rows(item.values) * weight for item, weight in zip(features, weights, strict=True)]

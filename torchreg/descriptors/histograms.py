@@ -56,7 +56,7 @@ def add_weighted_neighbors(histograms: Tensor, near: Neighborhoods, bins: int, *
     if _has_kernel(histograms, near):
         return _sums_compiled(histograms, near, bins, keep_own)
     out = torch.empty_like(histograms)
-    for part in row_chunks(len(histograms), near.max_neighbors):
+    for part in row_chunks(histograms.shape[0], near.max_neighbors):
         weights = inverse_square_weights(near.sq_distance[part], near.valid[part]).to(histograms.dtype)
         blocks = weighted_sum(histograms, near.index[part], weights).view(-1, histograms.shape[1] // bins, bins)
         total = lane_sums(blocks, NEIGHBOR_LANES)[..., None]

@@ -24,6 +24,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.color import color_values
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fuse import fuse, rooted
@@ -56,12 +57,12 @@ class LearnedColor(nn.Module):
         self.bins = at_least(bins, "bins", 2)
         self.channels = tuple(one_of(channel, "channels", CHANNELS) for channel in channels)
         self.hidden = at_least(hidden, "hidden", 1)
-        self.log_widths = nn.Parameter(torch.zeros(len(channels), bins))
-        self.log_channels = nn.Parameter(torch.zeros(len(channels)))
-        self.log_block = nn.Parameter(torch.zeros(()))
-        self.root_logits = nn.Parameter(torch.zeros(2))  # of geometry and color
-        self.cue_layer = nn.Linear(_CUES, hidden)
-        self.weight_layer = nn.Linear(hidden, 1)
+        self.log_widths = nn.Parameter(torch.zeros(len(channels), bins, dtype=torch.float32))
+        self.log_channels = nn.Parameter(torch.zeros(len(channels), dtype=torch.float32))
+        self.log_block = nn.Parameter(torch.zeros((), dtype=torch.float32))
+        self.root_logits = nn.Parameter(torch.zeros(2, dtype=torch.float32))  # of geometry and color
+        self.cue_layer = nn.Linear(_CUES, hidden, dtype=torch.float32)
+        self.weight_layer = nn.Linear(hidden, 1, dtype=torch.float32)
         nn.init.zeros_(self.weight_layer.weight)
         nn.init.zeros_(self.weight_layer.bias)
 
@@ -169,11 +170,12 @@ def load_weights(path: Path = SHIPPED) -> LearnedColor:
     parameters = {}
     for name, value in content["parameters"].items():
         layer, dot, rest = name.partition(".")
-        parameters[_OLD_LAYERS.get(layer, layer) + dot + rest] = torch.tensor(value)
+        parameters[_OLD_LAYERS.get(layer, layer) + dot + rest] = torch.tensor(value, dtype=torch.float32)
     model.load_state_dict(parameters)
     return model.requires_grad_(False)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Learned(Descriptor):
     """Histograms of color differences with trained bins and weights (``torchreg.LEARNED``)."""

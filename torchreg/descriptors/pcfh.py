@@ -19,16 +19,19 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.color import color_values, joint_color_values, soft_equalize
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.neighborhoods import expect_rows
 
 CHANNELS = ("hue", "saturation", "value")
 EQUALIZATIONS = ("none", "cloud", "joint")
@@ -36,6 +39,7 @@ MIN_NEIGHBORS = 3
 _VOTE_STEPS = 1024  # a weighted vote is a whole number of 1/1024, so that sums are exact
 
 
+@entry
 def pcfh(
     cloud: Clouds,
     near: Neighborhoods,
@@ -83,7 +87,7 @@ def pcfh(
     expect(len(channels) > 0, "channels", "at least one channel", channels)
     for channel in channels:
         one_of(channel, "channels", CHANNELS)
-    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_rows(near, cloud)
     expect_binning(binning, bandwidth, edges=edges, neighbor_weights=neighbor_weights)
     if values is None:
         values = (
@@ -91,7 +95,7 @@ def pcfh(
             if binning == "hard"
             else _soft_color_values(cloud, equalization, bandwidth)
         )
-    expect_shape(values, "values", (len(cloud.points), 3), "floating")
+    expect_shape(values, "values", (cloud.points.shape[0], 3), "floating")
     expect_finite(values, "values")
     if binning == "hard":
         hhd, enough = _own_histograms(values, near, bins, channels, saturation_weighting)
@@ -112,6 +116,7 @@ def pcfh(
     return Features(out, cloud.offsets, (("pcfh", bins * len(channels)),), valid=largest_entries(out) != 0)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Pcfh(Descriptor):
     """``torchreg.pcfh``: histograms of color differences, by default those of the paper.
@@ -184,9 +189,8 @@ def _soft_color_values(cloud: Clouds, equalization: str, bandwidth: float) -> Te
 
 def _neighbor_counts(near: Neighborhoods) -> Tensor:
     """(P,) int64: the neighbors of every point besides itself."""
-    parts = [
-        neighbor_votes(near.index, near.valid, rows).sum(dim=1) for rows in row_chunks(len(near), near.max_neighbors)
-    ]
+    pieces = row_chunks(*near.index.shape)
+    parts = [neighbor_votes(near.index, near.valid, rows).sum(dim=1) for rows in pieces]
     return torch.cat(parts) if parts else near.index.new_zeros(0)
 
 
@@ -197,9 +201,9 @@ def _own_histograms(
     if native(values, near.index, near.valid) and values.dtype == torch.float32:
         return _histograms_compiled(values, near, bins, channels, saturation_weighting)
     columns = {name: values[:, CHANNELS.index(name)].contiguous() for name in (*channels, "saturation")}
-    out = values.new_empty(len(values), bins * len(channels))
-    enough = torch.empty(len(values), dtype=torch.bool, device=values.device)
-    for part in row_chunks(len(values), near.max_neighbors):
+    out = values.new_empty(values.shape[0], bins * len(channels))
+    enough = torch.empty(values.shape[0], dtype=torch.bool, device=values.device)
+    for part in row_chunks(values.shape[0], near.max_neighbors):
         index = near.index[part]
         ones = neighbor_votes(near.index, near.valid, part).to(torch.int32)
         enough[part] = ones.sum(dim=1) >= MIN_NEIGHBORS

@@ -22,6 +22,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.geometry.se3 import apply_rotation, rigid
@@ -29,6 +30,7 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 _OPEN = 100.0  # times the rounding of the dtype, relative to the largest singular value: turns below it get no gradient
 
 
+@entry
 def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> Tensor:
     """Least-squares rigid transforms, batched.
 

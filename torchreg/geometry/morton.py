@@ -23,7 +23,7 @@ def morton_order(points: Tensor, offsets: Tensor) -> Tensor:
     """
     expect_shape(points, "points", ("P", 3), "floating")
     order = torch.empty(points.shape[0], dtype=torch.int64, device=points.device)
-    for begin, end in spans(checked_offsets(offsets, points.shape[0])):
+    for begin, end in spans(checked_offsets(offsets, points.shape[0]), points.shape[0]):
         if end > begin:
             codes = _morton_codes(points[begin:end].detach())
             order[begin:end] = torch.argsort(codes, stable=True) + begin

@@ -5,7 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape
+from torchreg.geometry.rigid_check import expect_all_rigid
 from torchreg.types import Clouds
 from torchreg.types.packing import spans
 
@@ -61,6 +63,7 @@ def quaternion_wxyz(rotation: Tensor) -> Tensor:
     return torch.where(unit[..., :1] < 0, -unit, unit)
 
 
+@entry
 def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
     """Move clouds: points, normals and viewpoints, in float64 and with their origins.
 
@@ -71,9 +74,14 @@ def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
     Returns:
         The clouds in frames "to", with an origin each of R origin + t, so that points stay small numbers. A
         viewpoint that is assumed moves with its cloud and stays assumed.
+
+    Raises:
+        ValueError: another shape, numbers that are not finite, or a matrix that is not rigid within 1e-3, such as a
+            reflection or a scale.
     """
     T = T_to_from.to(device=clouds.device, dtype=torch.float64)
     expect(T.shape in ((4, 4), (len(clouds), 4, 4)), "T_to_from", f"(4, 4) or ({len(clouds)}, 4, 4)", T_to_from)
+    expect_all_rigid(T, "T_to_from", 1e-3)
     T = T.expand(len(clouds), 4, 4)
 
     def rotated(values: Tensor | None) -> Tensor | None:

@@ -10,6 +10,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.se3 import transform
 from torchreg.io.assemble import CloudFile
@@ -24,6 +26,7 @@ from torchreg.io.transform_text import checked_rigid
 from torchreg.types import Clouds
 
 
+@entry
 def read_cloud(
     path: str | os.PathLike[str],
     *,
@@ -81,6 +84,7 @@ def read_cloud(
     return read_cloud_report(path, scan=scan, reading=reading).cloud
 
 
+@entry
 def read_cloud_report(
     path: str | os.PathLike[str],
     *,
@@ -106,6 +110,7 @@ def read_cloud_report(
     return finished(Path(path), chosen, reading, progress)
 
 
+@checked
 def each_scan(
     path: str | os.PathLike[str], *, reading: Reading | None = None, progress: Progress | None = None
 ) -> Iterator[CloudFile]:
@@ -117,6 +122,7 @@ def each_scan(
         yield replace(file, notes=(*file.notes, *notes))
 
 
+@entry
 def read_scans(
     path: str | os.PathLike[str],
     *,
@@ -154,6 +160,7 @@ def read_scans(
     return list(each_scan(path, reading=reading, progress=progress))
 
 
+@entry
 def write_cloud(
     path: str | os.PathLike[str], cloud: Clouds, *, T: Tensor | None = None, fields: PointFields | None = None
 ) -> None:
@@ -208,6 +215,7 @@ def write_cloud(
             with_fields(file, wide, cloud.points.dtype, fields.checked(len(wide.points)) if fields else None)
 
 
+@entry
 def write_scans(path: str | os.PathLike[str], scans: Iterable[PosedScan]) -> None:
     """Write scans to one file of a format that holds many, E57 or PTX, in full or not at all.
 

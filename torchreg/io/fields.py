@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import expect, expect_shape
 
 _TOPS = (1.0, 255.0, 65535.0)
 """The largest numbers of the usual scales of intensity, which begin at 0."""
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointFields:
     """Numbers that go with the points of one cloud; a field that is ``None`` is not there.

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io.numpy_clouds import cloud_of_arrays, to_numpy
 from torchreg.io.placement import Viewpoint
@@ -17,6 +18,7 @@ from torchreg.types import Clouds
 _Array = NDArray[Any]
 
 
+@entry
 def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype = torch.float32) -> Clouds:  # noqa: ANN401
     """Make a batch of one from an Open3D cloud; row i stays row i.
 
@@ -40,6 +42,7 @@ def from_open3d(pcd: Any, viewpoint: Viewpoint = "auto", *, dtype: torch.dtype =
     return cloud_of_arrays("pcd", "open3d", *_arrays(pcd), viewpoint=viewpoint, dtype=dtype)
 
 
+@entry
 def to_open3d(cloud: Clouds, *, tensor: bool = False) -> Any:  # noqa: ANN401
     """Make an ``open3d.geometry.PointCloud`` of one cloud, its origin added, in float64.
 

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io.checks import excerpt, readable_file, refuse, require
 from torchreg.io.csv_cells import text_of_cell
@@ -24,6 +26,7 @@ _DELIMITERS = (",", ";", "\t")
 _LARGEST_FILE = 1 << 26  # bytes; beyond it somebody named a cloud where a table was meant
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PairRow:
     """One pair of a pairs file.
@@ -52,6 +55,7 @@ class PairRow:
     extra: dict[str, str]
 
 
+@entry
 def read_pairs_file(path: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> tuple[PairRow, ...]:
     """Read the pairs that a table or a list lists; whether their clouds exist is not checked.
 

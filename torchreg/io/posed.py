@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.se3 import compose, inverse, rigid, transform
 from torchreg.io.fields import PointFields
@@ -31,6 +32,7 @@ class PosedScan(NamedTuple):
         return transform(self.cloud, self.T_file_scan)
 
 
+@entry
 def posed_scan(
     cloud: Clouds,
     T_world_file: Tensor,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from torchreg.arguments import checked_record
 from torchreg.errors import CloudFileError, at_least, expect, positive
 from torchreg.io.assemble import CloudFile, RawCloud, assemble, checked_dtype
 from torchreg.io.checks import readable_file, refuse
@@ -24,6 +25,7 @@ from torchreg.io.unreadable import refuse_suffix
 _NAMED_SCANS = 8  # that a message lists
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Reading:
     """How a file is read.

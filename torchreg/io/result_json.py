@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.se3 import quaternion_wxyz
 from torchreg.io.atomic import write_text
@@ -26,6 +27,7 @@ _VERIFIED = ("probability", "overlap", "strength", "information", "runner_up", "
 _REFINED = ("residual_median", "residual_rms", "residual_95", "covariance", "center", "axis_strength")
 
 
+@entry
 def result_to_dict(
     result: RegistrationResult, pair: int = 0, *, seed: int, source: str, target: str
 ) -> dict[str, object]:
@@ -99,6 +101,7 @@ def result_to_dict(
     return {key: plain_data(value) for key, value in content.items()}
 
 
+@entry
 def write_result_json(
     path: str | os.PathLike[str],
     result: RegistrationResult,

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import CloudFileError, expect, one_of
 from torchreg.geometry.rigid_check import expect_rigid
 from torchreg.io.atomic import write_text
@@ -21,6 +22,7 @@ _KEY = "T_target_source"
 _LARGEST_FILE = 1 << 24  # bytes
 
 
+@entry
 def write_transform_text(path: str | os.PathLike[str], T: Tensor, *, form: str = "matrix") -> None:
     """Write a transform (4, 4) as text, in full or not at all.
 
@@ -37,6 +39,7 @@ def write_transform_text(path: str | os.PathLike[str], T: Tensor, *, form: str =
     write_text(path, text(checked_rigid(T, "T")))
 
 
+@entry
 def read_transform_text(path: str | os.PathLike[str]) -> Tensor:
     """Read a transform (4, 4) float64 from four lines of text, or from JSON under the key "T_target_source".
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io.result_json import number_or_matrix, plain_data, result_to_dict
 from torchreg.types import Verification
@@ -13,6 +14,7 @@ _NUMBERS = (
 _TRANSFORMS = ("T_target_source", "settled", "likeliest")
 
 
+@entry
 def verification_to_dict(
     result: Verification, pair: int = 0, *, seed: int, source: str, target: str
 ) -> dict[str, object]:

@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_dtype, expect_floating, expect_shape, positive
 from torchreg.geometry.numerics.lengths import safe_length, safe_sqrt
 from torchreg.geometry.se3 import apply
 
 
+@entry
 def true_distances(source: Tensor, target: Tensor, T_target_source: Tensor) -> Tensor:
     """Distances of points under the true transform, which tell positives from negatives.
 
@@ -34,6 +36,7 @@ def true_distances(source: Tensor, target: Tensor, T_target_source: Tensor) -> T
         return safe_length(moved[:, None] - target[None])
 
 
+@entry
 def circle_loss(
     source_features: Tensor,
     target_features: Tensor,
@@ -97,6 +100,7 @@ def circle_loss(
     return (sides[0] + sides[1]) / (2 * scale)
 
 
+@entry
 def info_nce(
     source_features: Tensor,
     target_features: Tensor,
@@ -155,6 +159,7 @@ def info_nce(
     return torch.where(has_partner, loss, 0).sum() / has_partner.sum().clamp(min=1)
 
 
+@entry
 def inlier_probability_loss(logits: Tensor, is_inlier: Tensor) -> Tensor:
     """Binary cross-entropy of inlier logits, in which both classes weigh the same.
 

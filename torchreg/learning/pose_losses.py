@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_floating
 from torchreg.geometry.numerics.lengths import safe_length
 
@@ -25,6 +26,7 @@ class PoseLoss(NamedTuple):
     total: Tensor
 
 
+@entry
 def pose_loss(
     T_estimated: Tensor, T_true: Tensor, *, rotation_weight: float = 1.0, translation_weight: float = 1.0
 ) -> PoseLoss:

@@ -7,13 +7,16 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.fpfh import fpfh
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, positive
 from torchreg.neighborhoods import nearest, neighbors
 from torchreg.preprocess import estimate_normals, voxel_downsample
 from torchreg.types import Clouds, Features, Neighborhoods
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class PreparedCloud:
     """One downsampled scan.
@@ -29,6 +32,7 @@ class PreparedCloud:
     fpfh: Features
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class PreparedPair:
     """Two scans of one place with their true pose.
@@ -58,6 +62,7 @@ class PreparedPair:
         return partner.index, partner.sq_distance < radius * radius
 
 
+@entry
 def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
     """Downsample to ``voxel`` meters and describe geometry with the paper's proportions 2 : 5.
 
@@ -73,6 +78,7 @@ def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
     return PreparedCloud(oriented, near, fpfh(oriented, near))
 
 
+@entry
 def prepare_pair(
     source: Clouds, target: Clouds, T_target_source: Tensor, voxel: float, *, name: str, scene: str
 ) -> PreparedPair:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_floating, expect_shape
 from torchreg.geometry.numerics.chunks import row_chunks
 
@@ -31,6 +32,7 @@ class Samples(NamedTuple):
     log_probability: Tensor
 
 
+@entry
 def draw_samples(
     logits: Tensor, hypotheses: int, *, sample_size: int = 3, generator: torch.Generator | None = None
 ) -> Samples:
@@ -95,6 +97,7 @@ def _log_left(log_share: Tensor, rows: Tensor) -> Tensor:
     return torch.where(some, together, others)
 
 
+@entry
 def score_function_loss(losses: Tensor, log_probability: Tensor) -> Tensor:
     """The mean of losses of random draws, with the gradient of its expectation.
 

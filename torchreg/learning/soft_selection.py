@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_dtype, expect_shape, positive
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.lengths import safe_length
@@ -50,6 +51,7 @@ class DrawnHypothesis(NamedTuple):
     log_probability: Tensor
 
 
+@entry
 def select_softly(
     source: Tensor,
     target: Tensor,
@@ -107,6 +109,7 @@ def select_softly(
     return SoftSelection(T, score, log_probability.exp(), log_probability)
 
 
+@entry
 def expected_loss(selection: SoftSelection, losses: Tensor) -> Tensor:
     """The expectation of a loss over the choice of a hypothesis.
 
@@ -124,6 +127,7 @@ def expected_loss(selection: SoftSelection, losses: Tensor) -> Tensor:
     return (selection.probability * losses).sum()
 
 
+@entry
 def draw_hypothesis(selection: SoftSelection, *, generator: torch.Generator | None = None) -> DrawnHypothesis:
     """Draw one hypothesis by its probability, as a run does; ``score_function_loss`` learns from such draws.
 

@@ -8,13 +8,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.descriptors.learned import LearnedColor
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, positive
 from torchreg.learning.correspondence_losses import info_nce
 from torchreg.learning.prepared import PreparedCloud, PreparedPair, cropped
+from torchreg.seeds import generator_of
 from torchreg.types import Features
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
     """Options of training.
@@ -48,11 +52,13 @@ class TrainingOptions:
             positive(getattr(self, name), name)
 
 
+@entry
 def describe_with(model: LearnedColor, side: PreparedCloud, radius: float) -> Features:
     """Features of a prepared cloud; ``radius`` in meters."""
     return model.fused(side.fpfh, model(side.cloud, side.near.restrict(radius).trimmed(), radius))
 
 
+@entry
 def train_color(
     model: LearnedColor,
     pairs: Sequence[PreparedPair],
@@ -79,7 +85,7 @@ def train_color(
     """
     options = options or TrainingOptions()
     expect(len(pairs) > 0, "pairs", "at least one", pairs)
-    generator = torch.Generator().manual_seed(options.seed)
+    generator = generator_of(options.seed)
     usable = []
     for pair in [cropped(pair, options.max_points, generator) for pair in pairs]:
         partner, is_close = pair.true_partners(options.partner_radius * pair.voxel)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, fraction
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.matching.nearest import FeatureNearest, feature_nearest, lexicographic, rank
@@ -20,6 +21,7 @@ from torchreg.types import Correspondences, Features
 from torchreg.types.packing import offsets_of, spans
 
 
+@entry
 def match_mutual(
     source: Features, target: Features, *, ratio: float | None = None, neighbors: int = 1
 ) -> Correspondences:

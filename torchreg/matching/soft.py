@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, one_of, positive
 from torchreg.matching.mutual import expect_comparable
 from torchreg.matching.softmax import dual_softmax, one_number
@@ -22,6 +23,7 @@ from torchreg.types.packing import spans
 METHODS = ("dual_softmax", "sinkhorn")
 
 
+@entry
 def soft_match(
     source: Features,
     target: Features,
@@ -70,8 +72,9 @@ def soft_match(
     confidences = partial(dual_softmax, dustbin=no_partner)
     if method == "sinkhorn" and no_partner is not None:
         confidences = partial(sinkhorn, dustbin=no_partner, iterations=iterations)
+    rows = (spans(side.offsets, side.values.shape[0]) for side in (source, target))
     confidence = []
-    for (i, j), (k, m) in zip(spans(source.offsets), spans(target.offsets), strict=True):
+    for (i, j), (k, m) in zip(*rows, strict=True):
         masks = source.valid[i:j], target.valid[k:m]
         distance = squared_distances(source.values[i:j], target.values[k:m], *masks)
         confidence.append(confidences(-distance / scale, source_valid=masks[0], target_valid=masks[1]))

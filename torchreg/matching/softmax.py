@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_dtype, expect_floating
+from torchreg.errors import expect, expect_dtype, expect_floating, finite
 
 
 def dual_softmax(
@@ -67,12 +67,12 @@ def one_number(value: float | Tensor, name: str, like: Tensor) -> Tensor:
     """A number or a tensor of one element as () of the dtype and device of ``like``; gradients flow on.
 
     Raises:
-        ValueError: several elements.
+        ValueError: several elements, or a number that is not finite.
     """
     if isinstance(value, Tensor):
         expect(value.numel() == 1, name, "one number", value)
         return value.reshape(()).to(like)
-    return torch.full((), value, dtype=like.dtype, device=like.device)
+    return torch.full((), finite(value, name), dtype=like.dtype, device=like.device)
 
 
 def _log_softmax(logits: Tensor, counted: Tensor, dustbin: Tensor | None, dim: int) -> Tensor:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation, inverse
 from torchreg.neighborhoods.coverage import coverage
 from torchreg.types import Clouds
 
 
+@entry
 def fitness(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: float) -> Tensor:
     """Share of source points with a target point nearer than the threshold.
 
@@ -28,11 +30,13 @@ def fitness(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: 
     return _coverage(source, target, T_target_source, threshold)[0]
 
 
+@entry
 def inlier_rmse(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: float) -> Tensor:
     """Root mean square distance (B,), meters, of the points that ``fitness`` counts; 0 where there are none."""
     return _coverage(source, target, T_target_source, threshold)[1]
 
 
+@entry
 def overlap(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: float) -> Tensor:
     """Mean over both directions of the share of points with a partner nearer than the threshold, (B,).
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation, inverse, quaternion_wxyz
 from torchreg.metrics.fit import relative_transform
@@ -14,6 +15,7 @@ from torchreg.types import Clouds, Correspondences
 from torchreg.types.packing import spans
 
 
+@entry
 def inlier_ratio(
     source: Clouds, target: Clouds, matches: Correspondences, T_target_source: Tensor, threshold: float
 ) -> Tensor:
@@ -42,6 +44,7 @@ def inlier_ratio(
     return torch.stack(shares).double() if shares else R.new_zeros(0)
 
 
+@entry
 def feature_match_recall(inlier_ratios: Tensor, least: float = 0.05) -> Tensor:
     """Share of pairs whose inlier ratio (B,) exceeds ``least`` (0.05 in PPFNet, CVPR 2018), a scalar."""
     expect_shape(inlier_ratios, "inlier_ratios", ("B",))
@@ -49,6 +52,7 @@ def feature_match_recall(inlier_ratios: Tensor, least: float = 0.05) -> Tensor:
     return (inlier_ratios > least).double().mean()
 
 
+@entry
 def rmse_of_true_matches(
     source: Clouds, target: Clouds, T_true: Tensor, T_estimated: Tensor, threshold: float
 ) -> Tensor:
@@ -81,6 +85,7 @@ def rmse_of_true_matches(
     return torch.stack(errors) if errors else R.new_zeros(0)
 
 
+@entry
 def rmse_by_information(T_true: Tensor, T_estimated: Tensor, information: Tensor) -> Tensor:
     """The error of ``rmse_of_true_matches`` from the information matrix of the matches, as 3DMatch has it.
 
@@ -111,6 +116,7 @@ def rmse_by_information(T_true: Tensor, T_estimated: Tensor, information: Tensor
     return torch.where(some, mean.sqrt(), torch.full_like(mean, float("inf")))
 
 
+@entry
 def information_of_matches(points: Tensor) -> Tensor:
     """The information (6, 6) float64 of true matches in the form of ``gt.info``: the sum of G^T G.
 

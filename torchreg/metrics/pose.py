@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.types import Clouds
@@ -27,6 +28,7 @@ class PoseErrors(NamedTuple):
     rmse_meters: float
 
 
+@entry
 def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErrors:
     """All three errors of a transform of one cloud, in float64 on the CPU. No gradients.
 
@@ -51,6 +53,7 @@ def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErro
     return PoseErrors(float(rre(*pair)), float(rmse(*pair, source.origin.cpu())), float(rmse(*pair, points)))
 
 
+@entry
 def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
     """Relative rotation error, degrees (Eq. 5): the angle of R_true^T R_estimated.
 
@@ -71,6 +74,7 @@ def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
     return torch.rad2deg(torch.atan2(torch.linalg.vector_norm(axis, dim=-1), twice_cosine))
 
 
+@entry
 def rte(T_true: Tensor, T_estimated: Tensor) -> Tensor:
     """Relative translation error, meters (Eq. 6): |t_true - t_estimated|, (...,). Gradients flow."""
     _check(T_true, T_estimated)
@@ -79,6 +83,7 @@ def rte(T_true: Tensor, T_estimated: Tensor) -> Tensor:
     return length
 
 
+@entry
 def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
     """Root mean square distance, meters (Eq. 7), between the source points under the two transforms.
 
@@ -100,6 +105,7 @@ def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
     return torch.sqrt(mean)
 
 
+@entry
 def recalled_by_error(
     T_true: Tensor, T_estimated: Tensor, *, rotation: float = 15.0, translation: float = 0.3
 ) -> Tensor:
@@ -113,6 +119,7 @@ def recalled_by_error(
     return (rre(T_true, T_estimated) < rotation) & (rte(T_true, T_estimated) < translation)
 
 
+@entry
 def recalled_by_rmse(errors: Tensor, *, bound: float = 0.2) -> Tensor:
     """(B,) bool: the root mean square error (B,) of true correspondences is below the bound.
 
@@ -123,6 +130,7 @@ def recalled_by_rmse(errors: Tensor, *, bound: float = 0.2) -> Tensor:
     return errors < bound
 
 
+@entry
 def registration_recall(recalled: Tensor) -> Tensor:
     """Share of pairs (B,) bool that are recalled, a scalar; at least one pair is needed."""
     expect(recalled.numel() > 0, "recalled", "at least one pair", recalled)

@@ -20,6 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked
 from torchreg.native.fingerprint import fingerprint
 from torchreg.native.threads import kernel_threads
 
@@ -41,6 +42,7 @@ _REFUSALS = {
 _wanted: ContextVar[bool] = ContextVar("native_kernels", default=os.environ.get(VARIABLE, "1") != "0")
 
 
+@checked
 @contextmanager
 def native_kernels(enabled: bool = True) -> Iterator[None]:
     """Within this context kernels run compiled, where a library is at hand, or with ``False`` by torch; same bits.

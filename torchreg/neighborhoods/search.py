@@ -5,9 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, positive
 from torchreg.neighborhoods.backends import backend_for
 from torchreg.neighborhoods.cells import search_cells
+from torchreg.neighborhoods.dense_search import search_dense
 from torchreg.neighborhoods.distances import expect_searchable
 from torchreg.neighborhoods.kd_tree import search_tree
 from torchreg.neighborhoods.open3d_search import search_open3d
@@ -17,6 +19,7 @@ from torchreg.types.packing import spans
 _SEARCHES = {"native": search_tree, "open3d": search_open3d, "torch": search_cells}
 
 
+@entry
 def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, backend: str = "auto") -> Neighborhoods:
     """Find the ``max_neighbors`` nearest points of the same cloud within ``radius`` (a hybrid search).
 
@@ -47,6 +50,11 @@ def neighbors(cloud: Clouds, radius: float | Tensor, max_neighbors: int, *, back
     at_least(max_neighbors, "max_neighbors", 1)
     points = cloud.points.detach()
     expect(points.dtype in (torch.float32, torch.float64), "cloud.points", "float32 or float64", points)
+    if torch.compiler.is_compiling():
+        (_,) = spans(cloud.offsets, points.shape[0])
+        expect(not isinstance(radius, Tensor), "radius", "one number, where a graph is captured", radius)
+        square = positive(radius, "radius") ** 2  # type: ignore[arg-type]  # a number
+        return Neighborhoods(*search_dense(points, square, max_neighbors), radius=radius)
     limits = _squared_radii(radius, len(cloud), points.dtype)
     expect_searchable(points, "cloud.points")
     search = _SEARCHES[backend_for(backend, points)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors.fpfh import fpfh
 from torchreg.descriptors.pair_features import ANGLE_BINS
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
@@ -33,6 +34,7 @@ class FPFH(nn.Module):
         ValueError: an unknown name, a bandwidth out of its range, or edges to learn with hard binning.
     """
 
+    @checked
     def __init__(
         self, *, mode: str = "open3d", binning: str = "soft", bandwidth: float = 1.0, learn_edges: bool = False
     ) -> None:
@@ -86,6 +88,7 @@ class PCFH(nn.Module):
         ValueError: an unknown name, a number out of its range, or edges to learn with hard binning.
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -170,9 +173,12 @@ class BinEdges(nn.Module):
         ValueError: ``rows`` or ``bins`` below 1.
     """
 
+    @checked
     def __init__(self, rows: int, bins: int) -> None:
         super().__init__()
-        self.log_widths = nn.Parameter(torch.zeros(at_least(rows, "rows", 1), at_least(bins, "bins", 1)))
+        self.log_widths = nn.Parameter(
+            torch.zeros(at_least(rows, "rows", 1), at_least(bins, "bins", 1), dtype=torch.float32)
+        )
 
     def forward(self) -> Tensor:
         """The edges (rows, bins + 1), strictly ascending from 0 to 1, in float32 or float64. Gradients flow."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors.color import colors_of, hsv, soft_equalize
 from torchreg.errors import expect, fraction
 from torchreg.nn.precision import full_precision
@@ -38,6 +39,7 @@ class Equalize(nn.Module):
         ValueError: a bandwidth out of its range.
     """
 
+    @checked
     def __init__(self, *, bandwidth: float = 1.0) -> None:
         super().__init__()
         self.bandwidth = fraction(bandwidth, "bandwidth")
@@ -61,7 +63,7 @@ class Equalize(nn.Module):
         """
         expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
         p, q = hsv(colors_of(source)), hsv(colors_of(target))
-        pairs = list(zip(spans(source.offsets), spans(target.offsets), strict=True))
+        pairs = list(zip(*(spans(side.offsets, side.points.shape[0]) for side in (source, target)), strict=True))
         hues = torch.cat([p[:0, 0], *(hue for (i, j), (k, m) in pairs for hue in (p[i:j, 0], q[k:m, 0]))])
         equalized = soft_equalize(hues, offsets_of(j - i + m - k for (i, j), (k, m) in pairs), self.bandwidth)
         parts = equalized.split([size for (i, j), (k, m) in pairs for size in (j - i, m - k)])

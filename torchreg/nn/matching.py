@@ -9,9 +9,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.fuse import fuse, rooted
-from torchreg.errors import at_least, expect, expect_shape, fraction, one_of, positive
+from torchreg.errors import at_least, expect, expect_shape, finite, fraction, one_of, positive
 from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
@@ -39,11 +40,12 @@ class Fuse(nn.Module):
         ValueError: no weights, one that is not above 0, or a root out of its range.
     """
 
+    @checked
     def __init__(self, weights: Sequence[float] = (1.0, 1.0), *, root: float = 0.0) -> None:
         super().__init__()
         self.root = fraction(root, "root", zero=True)
         expect(len(weights) > 0, "weights", "at least one", weights)
-        self.log_weights = nn.Parameter(torch.tensor([positive(weight, "weights") for weight in weights]).log())
+        self.log_weights = nn.Parameter(_of_float32([positive(weight, "weights") for weight in weights]).log())
 
     @property
     def weights(self) -> Tensor:
@@ -100,6 +102,7 @@ class SoftMatch(nn.Module):
         ValueError: an unknown method, a number out of its range, or Sinkhorn without a dustbin.
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -112,8 +115,8 @@ class SoftMatch(nn.Module):
         self.method = one_of(method, "method", METHODS)
         self.iterations = at_least(iterations, "iterations", 1)
         expect(method == "dual_softmax" or dustbin is not None, "dustbin", "a number with Sinkhorn", dustbin)
-        self.log_temperature = nn.Parameter(torch.tensor(math.log(positive(temperature, "temperature"))))
-        self.dustbin = None if dustbin is None else nn.Parameter(torch.tensor(float(dustbin)))
+        self.log_temperature = nn.Parameter(_of_float32(math.log(positive(temperature, "temperature"))))
+        self.dustbin = None if dustbin is None else nn.Parameter(_of_float32(finite(dustbin, "dustbin")))
 
     @property
     def temperature(self) -> Tensor:
@@ -151,6 +154,7 @@ class WeightedKabsch(nn.Module):
         ValueError: numbers out of their range, or a scale without rounds.
     """
 
+    @checked
     def __init__(self, *, rounds: int = 0, scale: float | None = None) -> None:
         super().__init__()
         self.rounds = at_least(rounds, "rounds", 0)
@@ -178,15 +182,14 @@ class WeightedKabsch(nn.Module):
             ValueError: clouds other than those of the matches, or no scale for the rounds.
         """
         sides = (("source", source, matches.source_offsets), ("target", target, matches.target_offsets))
-        for name, side, offsets in sides:
+        for name, side, offsets in sides if not torch.compiler.is_compiling() else ():
             same = torch.equal(side.offsets, offsets)
             expect(same, name, f"the clouds of the matches, {offsets.tolist()}", side.offsets.tolist())
         scales = self._scales(len(source), scale, source.points)
+        rows = (spans(side.offsets, side.points.shape[0]) for side in (source, target))
         poses = [
             self._solve(source.points[i:j], target.points[k:m], confidence.to(source.points), scales[b])
-            for b, ((i, j), (k, m), confidence) in enumerate(
-                zip(spans(source.offsets), spans(target.offsets), matches.confidence, strict=True)
-            )
+            for b, ((i, j), (k, m), confidence) in enumerate(zip(*rows, matches.confidence, strict=True))
         ]
         T = torch.stack(poses).double() if poses else source.origin.new_zeros(0, 4, 4)
         R = T[:, :3, :3]
@@ -213,3 +216,8 @@ class WeightedKabsch(nn.Module):
     def extra_repr(self) -> str:
         """What ``print`` shows."""
         return f"rounds={self.rounds}, scale={self.scale}"
+
+
+def _of_float32(values: float | list[float]) -> Tensor:
+    """Weights to begin with, of one dtype whatever the default is."""
+    return torch.tensor(values, dtype=torch.float32)

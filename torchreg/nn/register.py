@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchreg.arguments import checked
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.pcfh import Pcfh
@@ -71,6 +72,7 @@ class Register(nn.Module):
         (torch.Size([1, 4, 4]), True)
     """
 
+    @checked
     def __init__(
         self,
         options: RegistrationOptions | None = None,
@@ -110,6 +112,8 @@ class Register(nn.Module):
         """
         expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
         expect(len(source) > 0, "source", "at least one cloud", len(source))
+        if torch.compiler.is_compiling():
+            _expect_one_graph(self.options)
         given = derive_options(source.detach(), target.detach()) if self.options is None else self.options
         per_pair = options_of_pairs(given, len(source))
         voxels = [option.voxel_size for option in per_pair]
@@ -122,7 +126,7 @@ class Register(nn.Module):
         matches = self.match(source_features, target_features)
         scale = None
         if self.solve.rounds > 0 and self.solve.scale is None:
-            scale = torch.tensor([option.inlier_threshold for option in per_pair])
+            scale = torch.tensor([option.inlier_threshold for option in per_pair], dtype=torch.float32)
         T = self.solve(source, target, matches, scale=scale)
         return SoftRegistration(T, matches, source, target, source_features, target_features)
 
@@ -146,6 +150,12 @@ class Register(nn.Module):
             colors = {"values": values} if isinstance(module, PCFH) and records[0].is_pairwise else {}
             blocks.append(module(cloud, support, **colors))
         return cloud, self.fuse(*blocks)
+
+
+def _expect_one_graph(options: RegistrationOptions | None) -> None:
+    """Refuse what no graph of fixed operations does: reading lengths off the points, and thinning by voxels."""
+    fixed = isinstance(options, RegistrationOptions) and options.voxel_size is None
+    expect(fixed, "options", "lengths without voxels, where a graph is captured", options)
 
 
 def _records_of(modules: Iterable[nn.Module], options: RegistrationOptions) -> tuple[Descriptor, ...]:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, positive
 from torchreg.geometry.morton import morton_order
 from torchreg.types import Clouds
@@ -22,6 +23,7 @@ def in_morton_order(cloud: Clouds) -> Clouds:
     return cloud.rows(morton_order(cloud.points, cloud.offsets), cloud.offsets)
 
 
+@entry
 def voxel_downsample(cloud: Clouds, voxel_size: float | Tensor) -> Clouds:
     """Replace the points in every cube of a grid by their mean, colors and normals likewise.
 
@@ -73,6 +75,7 @@ def counted_voxels(cloud: Clouds, voxel_size: float | Tensor) -> CountedVoxels:
     return CountedVoxels(thinned.rows(order, thinned.offsets), join(3)[order])
 
 
+@entry
 def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator | None = None) -> Clouds:
     """Keep exactly ``count`` points of every cloud, chosen without replacement.
 
@@ -102,6 +105,7 @@ def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator |
     return _rows(cloud, kept)
 
 
+@entry
 def farthest_point_downsample(cloud: Clouds, count: int) -> Clouds:
     """Keep ``count`` points of every cloud, each the farthest from those chosen before it.
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks
@@ -20,9 +21,11 @@ from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import KERNEL_TYPES, call, native, rows
 from torchreg.types import Clouds, Neighborhoods
+from torchreg.types.neighborhoods import expect_rows
 from torchreg.types.packing import spans
 
 
+@entry
 def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | None = None) -> Clouds:
     """Clouds with unit normals that face the viewpoint.
 
@@ -46,7 +49,7 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     Raises:
         ValueError: shapes do not fit.
     """
-    expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
+    expect_rows(near, cloud)
     if viewpoint is not None:
         expect(viewpoint.shape in ((3,), (len(cloud), 3)), "viewpoint", f"(3,) or ({len(cloud)}, 3)", viewpoint)
         viewpoint = viewpoint.expand(len(cloud), 3)
@@ -56,7 +59,7 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
     if native(*given) and cloud.points.dtype in KERNEL_TYPES and not wanted:
         return replace(cloud, normals=_normals_compiled(cloud.points, towards, near))
     x, y, z = (column.contiguous() for column in cloud.points.unbind(1))
-    chunks = list(row_chunks(len(cloud.points), near.max_neighbors))
+    chunks = list(row_chunks(cloud.points.shape[0], near.max_neighbors))
     if not wanted:
         normals = torch.empty_like(cloud.points)
         for part in chunks:
@@ -109,17 +112,22 @@ def _sum_of_three(values: Tensor) -> Tensor:
 
 def _facing(cloud: Clouds, viewpoint: Tensor | None) -> Tensor:
     """The directions (P, 3) float64, from every point, to which its normal is turned."""
-    out = torch.empty(len(cloud.points), 3, dtype=torch.float64, device=cloud.device)
-    for b, (begin, end) in enumerate(spans(cloud.offsets)):
+    out = torch.empty(cloud.points.shape[0], 3, dtype=torch.float64, device=cloud.device)
+    for b, (begin, end) in enumerate(spans(cloud.offsets, cloud.points.shape[0])):
         points = cloud.points[begin:end].double()
         if begin == end:
             continue
-        center = lane_sums(points, dim=0) / len(points)
+        center = _mean(points)
         if viewpoint is not None:
             given = torch.isfinite(viewpoint[b]).all()
             center = torch.where(given, viewpoint[b].double(), center)
         out[begin:end] = center - points
     return out
+
+
+def _mean(points: Tensor) -> Tensor:
+    """The mean (3,) of points (P, 3), P > 0; in a captured graph, of any number of points, by torch's own sum."""
+    return points.mean(dim=0) if torch.compiler.is_compiling() else lane_sums(points, dim=0) / points.shape[0]
 
 
 def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, part: slice) -> tuple[Tensor, Tensor]:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape, one_of
 from torchreg.io.result_json import plain_data
 from torchreg.metrics import PoseErrors, pose_errors
@@ -109,6 +110,7 @@ def _plain_side(side: Side) -> dict[str, Any]:
     return known if side.success else {**known, "T_target_source": None}
 
 
+@entry
 def compare(
     source: Clouds,
     target: Clouds,

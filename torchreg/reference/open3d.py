@@ -21,6 +21,7 @@ from torchreg.registration.inspect import notes_on, refuse, set_aside
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import options_of_pairs
 from torchreg.registration.stopwatch import stopwatch
+from torchreg.seeds import open3d_seed
 from torchreg.types import Clouds, Correspondences, HypothesisCounts, RegistrationResult
 from torchreg.types.packing import offsets_of
 
@@ -41,7 +42,7 @@ def register(
         source: B clouds.
         target: B clouds.
         options: as in ``torchreg.register``, lengths derived in the same way; those on color count for "fused".
-        seed: of Open3D's generator, for every pair.
+        seed: of Open3D's generator, for every pair; any integer.
         features: "fpfh", Open3D's alone, or "fused", the very features that ``torchreg.register`` matches,
             handed over (its rows that are not valid are left out).
 
@@ -73,7 +74,7 @@ def register(
             if failure is not None:
                 outcomes.append(PairOutcome(one, other, failure))
                 continue
-            o3d.utility.random.seed(seed)
+            o3d.utility.random.seed(open3d_seed(seed))
             outcomes.append(register_pair(one, other, option, features))
     what = "on FPFH alone" if features == "fpfh" else "matches and RANSAC, on torchreg's features"
     origin = f"by Open3D {o3d.__version__}, {what}"

@@ -12,8 +12,10 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_device, expect_floating
 from torchreg.geometry.numerics.threads import shared_out, undisturbed
+from torchreg.geometry.rigid_check import expect_all_rigid
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.native import kernel_threads
 from torchreg.refinement.levels import refine_levels
@@ -30,6 +32,7 @@ _RIGID = 1e-3  # largest entry of R R^T - I that passes for rounding
 _LARGEST = 1e100  # coordinates whose squares and their sums stay finite
 
 
+@entry
 def icp(
     source: Clouds,
     target: Clouds,
@@ -54,7 +57,8 @@ def icp(
         inputs are detached.
 
     Raises:
-        ValueError: sizes, dtypes or devices do not fit; normals or colors are missing.
+        ValueError: sizes, dtypes or devices do not fit; normals or colors are missing; a transform that is finite and
+            not rigid within 1e-3, such as a reflection.
 
     Example:
         >>> import torch
@@ -75,7 +79,10 @@ def icp(
         T_target_source,
     )
     expect_floating(T_target_source, "T_target_source")
-    T = T_target_source.to(source.device, torch.float64).expand(pairs, 4, 4)
+    T = T_target_source.detach().to(source.device, torch.float64)
+    finite = T.isfinite().all(dim=-1).all(dim=-1)[..., None, None]  # one that is not is a failure of its pair alone
+    expect_all_rigid(torch.where(finite, T, torch.eye(4).to(T)), "T_target_source", _RIGID)
+    T = T.expand(pairs, 4, 4)
     with undisturbed(source.points):
         return refine_pairs(source, target, Pairing(range(pairs), range(pairs)), T, _per_pair(options, pairs))
 

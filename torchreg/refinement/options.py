@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torchreg.arguments import checked_record
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.refinement.colored import COLORED
 from torchreg.refinement.estimator import IcpKind
@@ -20,6 +21,7 @@ KINDS: dict[str, IcpKind] = {
 }
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class IcpLevel:
     """One level of a coarse-to-fine refinement.
@@ -44,6 +46,7 @@ class IcpLevel:
         at_least(self.iterations, "iterations", 1)
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class IcpOptions:
     """How ``icp`` refines. The numbers of convergence and color are Open3D's defaults.

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import undisturbed
@@ -56,6 +57,7 @@ def description_of(options: RegistrationOptions, *, colored: bool) -> Descriptio
     )
 
 
+@entry
 def describe_clouds(
     clouds: Clouds, options: RegistrationOptions | Sequence[RegistrationOptions], *, max_bytes: int = 1 << 28
 ) -> DescribedClouds:
@@ -191,7 +193,8 @@ def oriented(cloud: Clouds, descriptions: Sequence[Description]) -> tuple[Clouds
 
     Normals that the clouds have are hints at signs (``hinted``); lines are estimated anew.
     """
-    widest = torch.tensor([description.widest for description in descriptions], dtype=torch.float64)
+    radii = [description.widest for description in descriptions]
+    widest = radii[0] if len(radii) == 1 else torch.tensor(radii, dtype=torch.float64)
     near = neighbors(cloud, widest, max(description.max_neighbors for description in descriptions))
     radii = [description.normal_radius for description in descriptions]
     support = _support(cloud, near, radii, descriptions[0].normal_max_neighbors)

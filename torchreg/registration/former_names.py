@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from torchreg.arguments import expect_kind, kind_of
 from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
@@ -23,6 +24,9 @@ _FIELDS = {  # which records they change, and which field of these
 }
 _DEFAULTS = {"geometry": Fpfh(radius=5.0), "any": Fpfh(radius=5.0), "color": Pcfh(radius=2.0), "pcfh": Pcfh(radius=2.0)}
 
+_NOT_GIVEN: Any = object()
+_NAMES = kind_of(Sequence[str])
+
 Weighed = tuple[Descriptor, float]
 
 
@@ -36,14 +40,15 @@ def by_former_names(
         TypeError: an unknown name.
     """
     former = dict(former)
-    color, shares = former.pop("color", None), former.pop("color_weights", None)
+    color, shares = former.pop("color", _NOT_GIVEN), former.pop("color_weights", _NOT_GIVEN)
     changes = {name: former.pop(name) for name in _FIELDS if name in former}
     if former:
         raise TypeError(f"RegistrationOptions has no option {next(iter(former))!r}")
     listed = list(zip(descriptors, weights, strict=True))
-    if color is not None:
+    if color is not _NOT_GIVEN:
+        expect_kind(color, "color", _NAMES)
         listed = _with_color(listed, color)
-    if shares is not None:
+    if shares is not _NOT_GIVEN:
         listed = _with_shares(listed, shares)
     for name, value in changes.items():
         listed = _changed(listed, name, value)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from torchreg.arguments import checked
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.learned import Learned, shipped_numbers
@@ -17,6 +18,8 @@ from torchreg.types.lengths import length, scaled
 from torchreg.types.loading import loadable
 
 AnySolver = TypeVar("AnySolver", bound=Solver)
+
+_AS_BEFORE: Any = object()  # in place of options of RANSAC: those that there are
 
 EFFORTS = ("plain", "fast", "balanced", "thorough")
 
@@ -94,6 +97,7 @@ class RegistrationOptions:
     # solver and ransac once more: dataclasses.replace passes them on, and the constructor sees which of them changed
     _before: tuple[Solver, RansacOptions] = field(repr=False, compare=False)
 
+    @checked
     def __init__(
         self,
         *,
@@ -106,7 +110,7 @@ class RegistrationOptions:
         ratio: float | None = None,
         match_neighbors: int = 1,
         solver: Solver | str | None = None,
-        ransac: RansacOptions | None = None,
+        ransac: RansacOptions = _AS_BEFORE,
         effort: str = "plain",
         refine: str = "none",
         refine_points: int = REFINE_POINTS,
@@ -119,7 +123,7 @@ class RegistrationOptions:
         expect(len(shares) == len(records), "weights", f"one per descriptor ({len(records)})", shares)
         expect(ratio is None or match_neighbors == 1, "match_neighbors", "1 beside a ratio", match_neighbors)
         records, shares = by_former_names(records, shares, former)
-        both = _solvers(solver, ransac, _before)
+        both = _solvers(solver, None if ransac is _AS_BEFORE else ransac, _before)
         values = {
             "voxel_size": voxel_size if voxel_size is None else positive(voxel_size, "voxel_size"),
             "normal_radius": positive(normal_radius, "normal_radius"),

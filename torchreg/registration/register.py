@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.matching.mutual import match_mutual
@@ -29,6 +29,7 @@ from torchreg.registration.recipes import Recipe, fused, recipes_of
 from torchreg.registration.refined import given_residuals, refined
 from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
+from torchreg.seeds import generator_of
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
@@ -39,6 +40,7 @@ from torchreg.verification.judge import judge_poses
 from torchreg.verification.verdicts import JudgedPair, collect
 
 
+@entry
 def register(
     source: Clouds,
     target: Clouds,
@@ -70,7 +72,7 @@ def register(
             ``None`` takes that of the options.
         refine: how far the poses found are refined, ``"none"``, ``"coarse"`` or ``"full"``, as in
             ``RegistrationOptions``; ``None`` takes that of the options: full where they are derived, none in ``PAPER``.
-        seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
+        seed: of every random draw, any integer. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
             with the same result; one pair takes what it needs.
@@ -101,6 +103,7 @@ def register(
     return joined(results, seconds=seconds)
 
 
+@entry
 def register_described(
     source: DescribedClouds, target: DescribedClouds, options: Sequence[RegistrationOptions], *, seed: int = 0
 ) -> RegistrationResult:
@@ -156,11 +159,10 @@ def find_poses(
     ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
     then gets a verdict of its own.
     """
-    expect(isinstance(seed, int) and -(2**63) <= seed < 2**63, "seed", "an integer of 64 bits", seed)
     facts = list(zip(source.facts, target.facts, strict=True))
     refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
     source, target = source.without(refused), target.without(refused)
-    drawn = base_seed(torch.Generator().manual_seed(seed))
+    drawn = base_seed(generator_of(seed))
     effort = options[0].effort
     proposed: list[ProposedPoses] = []
     for recipe in recipes_of(options[0], colored=colored):

@@ -18,6 +18,7 @@ from torch import Tensor
 from torchreg.descriptors.contrast import Contrast
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.pcfh import CHANNELS, Pcfh
+from torchreg.entry import entry
 from torchreg.errors import expect, one_of, positive
 from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import voxel_downsample
@@ -44,6 +45,7 @@ _SPACING_SAMPLE = 20_000
 _BISECTIONS = 12
 
 
+@entry
 def spacing(clouds: Clouds) -> Tensor:
     """The spacing of the points of every cloud.
 
@@ -73,6 +75,7 @@ def spacing(clouds: Clouds) -> Tensor:
     return torch.stack(spacings) if spacings else torch.zeros(0, dtype=torch.float64)
 
 
+@entry
 def derive_options(source: Clouds, target: Clouds, *, effort: str = "balanced") -> tuple[RegistrationOptions, ...]:
     """Options for every pair, derived from the spacing of its clouds; color where both have it.
 
@@ -175,6 +178,7 @@ def options_of_spacings(
     return options_for(scale, colored=colored, voxel_size=voxel_size, effort=effort)
 
 
+@entry
 def options_for(
     spacing: float, *, colored: bool = True, voxel_size: float | None = None, effort: str = "balanced"
 ) -> RegistrationOptions:

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import expect, one_of
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.geometry.rigid_check import expect_rigid
@@ -29,6 +30,7 @@ from torchreg.verification.given import GivenVerdict, moved_on
 from torchreg.verification.reasons import Displacement
 
 
+@entry
 def verify(
     source: Clouds,
     target: Clouds,
@@ -56,7 +58,7 @@ def verify(
         effort: ``"fast"``, ``"balanced"`` or ``"thorough"``, as for ``register``; ``None`` takes that of the options,
             and balanced where they are derived or plain, which weighs no pose.
         refine: as for ``register``; with "none" there are no residuals.
-        seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
+        seed: of every random draw, any integer. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: as for ``register``.
 
     Returns:

@@ -9,11 +9,14 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, fraction, positive
 from torchreg.geometry.rigid_check import expect_rigid
 from torchreg.types.record import Record
 
 
+@entry
 def loose_covariance(shift: float, reach: float) -> Tensor:
     """The covariance (6, 6) of a pose that is known to a shift of ``shift`` meters at a distance of ``reach`` meters.
 
@@ -24,6 +27,7 @@ def loose_covariance(shift: float, reach: float) -> Tensor:
     return torch.tensor([turn**2] * 3 + [shift**2] * 3, dtype=torch.float64).diag()
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Link(Record):
     """A candidate for the pose of one scan in the frame of another.
@@ -88,6 +92,7 @@ class Link(Record):
         )
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KnownPose:
     """What is known of the pose of one scan beforehand, such as from a survey: a link to the world.

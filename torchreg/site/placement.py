@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect_shape
 from torchreg.geometry.se3 import apply_rotation, compose, inverse, rigid
 from torchreg.native import torch_on_one_thread
@@ -80,6 +81,7 @@ class Placement:
         return len(self.group)
 
 
+@entry
 def place(
     links: Sequence[Link],
     count: int,

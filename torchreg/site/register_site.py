@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_device, one_of
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.registration.options import RegistrationOptions
@@ -20,6 +21,7 @@ from torchreg.types import Clouds
 from torchreg.verification import WORK
 
 
+@entry
 def register_site(
     scans: Clouds | Sequence[Clouds],
     options: RegistrationOptions | None = None,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import positive
 from torchreg.site.graph import SiteGraph
 
@@ -15,6 +16,7 @@ _PER_LINK = 0.05  # of the tolerance, the error of one link that its covariance 
 _MOST = 2.0  # tolerances: a link that is known no better counts as known that well
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
     """How far poses may be apart that are held to be one, besides what their covariances allow.

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, TypeVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.solvers.points import MatchedPoints
 from torchreg.solvers.scoring import QUALITIES, correspondence_vectors, proposal_dtype, propose_counts
@@ -89,6 +90,7 @@ class Hypotheses:
         return torch.cat(self._rotation, dim=-1)[..., top], torch.cat(self._translation, dim=-1)[:, top], key[top]
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class Solver:
     """How matches become poses. To add a solver is to write a subclass with a ``name`` and ``propose``.

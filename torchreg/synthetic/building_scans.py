@@ -17,7 +17,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect
+from torchreg.seeds import numpy_seed
 from torchreg.synthetic.architecture.office_floor import corridors, lamps_of, room_shell
 from torchreg.synthetic.architecture.office_plan import BuildingPlan, PlanCell
 from torchreg.synthetic.architecture.rooms import furnished
@@ -38,6 +40,7 @@ _LAMPS_NEAR = 4  # that light a point
 _CELL = 0.5  # meters, of the raster of lamps
 
 
+@entry
 def building(
     seed: int = 0,
     *,
@@ -56,7 +59,7 @@ def building(
     same bits. ``shuffled`` and the last three options leave building and stations alone.
 
     Args:
-        seed: which building; at least 0.
+        seed: which building; any integer.
         scans: how many, in [5, 500], and at least ``2 * floors - 1``.
         floors: how many of one plan lie above each other, in [1, 20].
         variety: how much furniture, posters and paint differ from floor to floor, in [0, 1]; 0 makes all floors
@@ -79,7 +82,6 @@ def building(
         >>> len(site), site.T_world_scan.shape, sorted(site.stations)[0]
         (5, torch.Size([5, 4, 4]), 'floor-0/landing-0')
     """
-    at_least(seed, "seed", 0)
     at_least(floors, "floors", 1)
     expect(floors <= _MOST_FLOORS, "floors", f"at most {_MOST_FLOORS}", floors)
     fewest = max(5, 2 * floors - 1)
@@ -89,7 +91,8 @@ def building(
     expect_within(angular_step, "angular_step", "degrees", 0.1, 5)
     expect_within(range_noise, "range_noise", "meters", 0, 0.1)
     expect_within(relight, "relight", "a number", 0, 2)
-    of_plan, of_rooms, of_poses, of_light, of_cameras, of_order, of_noise = ((seed, _STREAM + k) for k in range(7))
+    entropy = numpy_seed(seed)
+    of_plan, of_rooms, of_poses, of_light, of_cameras, of_order, of_noise = ((entropy, _STREAM + k) for k in range(7))
     rng = np.random.default_rng
 
     plan, stations = plan_survey(of_plan, scans=scans, floors=floors)

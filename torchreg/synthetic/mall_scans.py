@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from torchreg.entry import entry
 from torchreg.synthetic.architecture.hall import HallPlan, ceiling, columns, draw_plan, end_wall, floor
 from torchreg.synthetic.architecture.shops import bay
 from torchreg.synthetic.furniture import indoor
@@ -35,6 +36,7 @@ _FURNITURE = (
 )
 
 
+@entry
 def mall(
     seed: int = 0,
     *,
@@ -49,7 +51,7 @@ def mall(
     them; all other options leave hall and stations alone.
 
     Args:
-        seed: which hall; at least 0.
+        seed: which hall; any integer.
         baseline: meters between the two stations, in [0, 16]; 0 scans twice from one place, the scanner turned.
         angular_step: degrees between neighboring rays, in [0.05, 5]; the default gives some 280,000 points
             a scan.

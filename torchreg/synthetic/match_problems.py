@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
+from torchreg.errors import at_least, expect, finite, fraction, one_of, positive
 from torchreg.geometry.se3 import apply_rotation, rigid
+from torchreg.seeds import generator_of
 from torchreg.types import Clouds, Correspondences
 
 PLACES = ("cube", "room")
@@ -17,6 +20,7 @@ _ROOM = (1.0, 0.7, 0.4)  # of the size
 _FURNITURE = ((0.1, 0.1, 0, 0.3, 0.1, 0.2), (0.7, 0.05, 0, 0.1, 0.3, 0.3), (0.4, 0.45, 0, 0.25, 0.15, 0.1))
 
 
+@checked_record
 @dataclass(frozen=True, eq=False)
 class MatchProblem:
     """One pair of clouds with putative matches, and the truth about them.
@@ -36,6 +40,7 @@ class MatchProblem:
     is_inlier: Tensor
 
 
+@entry
 def match_problem(
     count: int,
     outlier_ratio: float,
@@ -58,7 +63,7 @@ def match_problem(
         noise: meters, standard deviation per coordinate of right targets.
         rival: share of all matches, taken from the wrong ones, that agree on another motion: the true one after
             half a turn about the vertical through the middle.
-        seed: of the draw.
+        seed: of the draw, any integer.
         dtype: of the points.
 
     Returns:
@@ -77,9 +82,10 @@ def match_problem(
     fraction(rival, "rival", zero=True)
     one_of(place, "place", PLACES)
     positive(size, "size")
+    expect(finite(noise, "noise") >= 0, "noise", "meters of at least 0", noise)
     wrong, rivals = round(outlier_ratio * count), round(rival * count)
     expect(rivals <= wrong, "rival", f"at most the share of wrong matches, {outlier_ratio}", rival)
-    generator = torch.Generator().manual_seed(seed)
+    generator = generator_of(seed)
     draw = _in_cube if place == "cube" else _in_room
     p = size * draw(count, generator)
     T = rigid(random_rotation(generator), 5 * torch.randn(3, dtype=torch.float64, generator=generator))

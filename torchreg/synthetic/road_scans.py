@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from torchreg.entry import entry
 from torchreg.synthetic.architecture.street import LEVEL, SIDES, StreetPlan, draw_plan, ground, houses
 from torchreg.synthetic.furniture import indoor, outdoor, plants
 from torchreg.synthetic.furniture.vehicles import car, van
@@ -37,6 +38,7 @@ _ON_PAVEMENTS = (
 )
 
 
+@entry
 def road(
     seed: int = 0,
     *,
@@ -51,7 +53,7 @@ def road(
     them; all other options leave road and stations alone.
 
     Args:
-        seed: which road; at least 0.
+        seed: which road; any integer.
         baseline: meters between the two stations, in [0, 30]; 0 scans twice from one place, the scanner turned.
         angular_step: degrees, as for ``mall``; the default gives some 180,000 points a scan.
         range_noise: meters, as for ``mall``.

@@ -56,7 +56,7 @@ class Clouds(PackedBatch):
     def __post_init__(self) -> None:
         expect_shape(self.points, "points", ("P", 3), "floating")
         rows, device = self.points.shape[0], self.points.device
-        offsets = torch.tensor([0, rows]) if self.offsets is None else self.offsets
+        offsets = torch.tensor([0, rows], device="cpu") if self.offsets is None else self.offsets
         object.__setattr__(self, "offsets", checked_offsets(offsets, rows))
         for name, value in (("colors", self.colors), ("normals", self.normals)):
             if value is not None:
@@ -79,7 +79,7 @@ class Clouds(PackedBatch):
     @property
     def lengths(self) -> list[int]:
         """The number of points of every cloud."""
-        return [end - begin for begin, end in spans(self.offsets)]
+        return [end - begin for begin, end in spans(self.offsets, self.points.shape[0])]
 
     @property
     def device(self) -> torch.device:

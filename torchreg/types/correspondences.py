@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import expect, expect_shape
 from torchreg.types.held import Held, Listed, Offsets, PerRow, bounds_of, held
 from torchreg.types.packing import checked_offsets, offsets_of, spans
@@ -16,6 +17,7 @@ from torchreg.types.record import PackedBatch
 from torchreg.types.shown import counted, several, where
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False)
 class Correspondences(PackedBatch):
     """Putative matches of ``B`` pairs of clouds, packed.
@@ -89,6 +91,7 @@ class MatchesBetween(Held):
         return matches.counted_on(shift(self.source), shift(self.target))
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False)
 class SoftCorrespondences(PackedBatch):
     """Soft matches of ``B`` pairs of clouds: one dense matrix each, since every point may match every other.
@@ -110,6 +113,8 @@ class SoftCorrespondences(PackedBatch):
         for name in ("source_offsets", "target_offsets"):
             offsets = getattr(self, name)
             expect_shape(offsets, name, (pairs + 1,))
+            if torch.compiler.is_compiling():  # where values are not known
+                return
             object.__setattr__(self, name, checked_offsets(offsets, int(offsets[-1]), name))
         rows, columns = spans(self.source_offsets), spans(self.target_offsets)
         for matrix, (i, j), (k, m) in zip(self.confidence, rows, columns, strict=True):

@@ -9,6 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import expect, expect_shape
 from torchreg.types.held import Held, Offsets, PerRow, held
 from torchreg.types.packing import checked_offsets
@@ -16,6 +17,7 @@ from torchreg.types.record import PackedBatch
 from torchreg.types.shown import counted, several, where
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False)
 class Features(PackedBatch):
     """One descriptor per point of a packed batch.

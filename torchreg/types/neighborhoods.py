@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
 from torchreg.errors import at_least, expect, expect_shape, positive
+from torchreg.types.clouds import Clouds
 from torchreg.types.held import Held, PerRow, held
 from torchreg.types.record import Record
 from torchreg.types.shown import where
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False)
 class Neighborhoods(Record):
     """Up to ``K`` neighbors of every point, ascending by (squared distance, index).
@@ -76,7 +79,11 @@ class Neighborhoods(Record):
         if radius is not None:
             radius = self._checked_radius(radius)
         if radius is not None and not self._reaches(radius):
-            square = (radius * radius)[:, None] if isinstance(radius, Tensor) else torch.as_tensor(radius**2)
+            square = (
+                (radius * radius)[:, None]
+                if isinstance(radius, Tensor)
+                else torch.as_tensor(radius**2, dtype=torch.float32)
+            )
             valid = valid & (sq_distance < square.to(sq_distance))
         return Neighborhoods(self.index[:, :width], valid, sq_distance, _smaller(self.radius, radius))
 
@@ -127,3 +134,10 @@ def _smaller(one: float | Tensor | None, other: float | Tensor | None) -> float 
     if isinstance(one, Tensor):
         return torch.minimum(one, other) if isinstance(other, Tensor) else one.clamp(max=other)
     return other.clamp(max=one) if isinstance(other, Tensor) else min(one, other)
+
+
+def expect_rows(near: Neighborhoods, cloud: Clouds) -> None:
+    """Check that there is one neighborhood for every point of a batch of clouds."""
+    points, rows = cloud.points.shape[0], near.index.shape[0]
+    if points != rows:
+        raise ValueError(f"near: expected neighborhoods of {points} points, got {rows}")

@@ -33,7 +33,7 @@ def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor
 
 def offsets_of(lengths: Iterable[int]) -> Tensor:
     """Offsets (B+1,) int64 of items of these lengths."""
-    return torch.tensor([0, *accumulate(lengths)], dtype=torch.int64)
+    return torch.tensor([0, *accumulate(lengths)], dtype=torch.int64, device="cpu")
 
 
 def kept_rows(offsets: Tensor, left_out: Sequence[object]) -> tuple[Tensor, Tensor]:
@@ -43,7 +43,13 @@ def kept_rows(offsets: Tensor, left_out: Sequence[object]) -> tuple[Tensor, Tens
     return rows, offsets_of(part.stop - part.start for part in kept)
 
 
-def spans(offsets: Tensor) -> list[tuple[int, int]]:
-    """The (begin, end) rows of every item."""
+def spans(offsets: Tensor, rows: int | None = None) -> list[tuple[int, int]]:
+    """The (begin, end) rows of every item.
+
+    Where a graph is captured no value is read: it holds for one item of all ``rows``.
+    """
+    if rows is not None and torch.compiler.is_compiling():
+        expect(offsets.shape[0] == 2, "offsets", "one cloud, where a graph is captured", f"{offsets.shape[0] - 1}")
+        return [(0, rows)]
     listed: list[int] = offsets.tolist()
     return list(pairwise(listed))

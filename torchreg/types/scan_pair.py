@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import expect, expect_shape
 from torchreg.types.clouds import Clouds
 from torchreg.types.collation import collated_by
@@ -17,6 +19,7 @@ from torchreg.types.shown import counted, listed, several, where
 
 
 @collated_by("torchreg.datasets.pack_pairs")
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False)
 class ScanPair(Record):
     """A source scan, a target scan and their true motion, which a registration should find.
@@ -58,6 +61,7 @@ class ScanPair(Record):
         )
 
 
+@checked_record
 @dataclass(frozen=True, eq=False, repr=False)
 class ScanPairBatch(PackedBatch):
     """``B`` scan pairs, their clouds packed.
@@ -114,6 +118,7 @@ class ScanPairBatch(PackedBatch):
         )
 
 
+@entry
 def pack_pairs(pairs: Sequence[ScanPair]) -> ScanPairBatch:
     """Join pairs into one batch: the ``collate_fn`` of a ``DataLoader`` over a dataset of pairs.
 

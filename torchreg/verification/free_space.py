@@ -135,7 +135,7 @@ def _cells(rays: Tensor, side: Tensor) -> Tensor:
     folded_x = (1 - y.abs()).copysign_(x + 0.0)
     folded_y = (1 - x.abs()).copysign_(y + 0.0)
     u, v = torch.where(z >= 0, x, folded_x), torch.where(z >= 0, y, folded_y)
-    half, last = (side / 2).to(rays.dtype), side - 1
+    half, last = side.to(rays.dtype) / 2, side - 1
     column = torch.minimum(u.add_(1).mul_(half).long().clamp_(min=0), last)
     row = torch.minimum(v.add_(1).mul_(half).long().clamp_(min=0), last)
     return row.mul_(side).add_(column)

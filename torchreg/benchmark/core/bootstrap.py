@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import at_least, expect
+from torchreg.seeds import generator_of
 
 Statistic = Callable[[Tensor], Tensor]
 """From (..., N) values to (...) of their mean, median or the like."""
@@ -65,7 +66,7 @@ def bootstrap(
     expect(0 < level < 1, "level", "a number above 0 and below 1", level)
     at_least(resamples, "resamples", 1)
     whole = torch.tensor(list(values), dtype=torch.float64)
-    generator = torch.Generator().manual_seed(seed)
+    generator = generator_of(seed)
     drawn = torch.randint(len(whole), (resamples, len(whole)), generator=generator)
     tails = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
     low, high = statistic(whole[drawn]).quantile(tails).tolist()

@@ -18,6 +18,7 @@ from torchreg.errors import CloudFileError, at_least
 from torchreg.geometry.se3 import transform
 from torchreg.io import read_cloud
 from torchreg.registration import PAPER
+from torchreg.seeds import any_seed
 from torchreg.types import Clouds
 
 
@@ -74,9 +75,9 @@ def simulated_places(seed: int, count: int, *, angular_step: float, variants: bo
     """Malls and roads ``seed`` to ``seed + count - 1``, from one place and, as variants, from two.
 
     Raises:
-        ValueError: ``seed`` below 0 or ``count`` below 1.
+        ValueError: no integer, or ``count`` below 1.
     """
-    at_least(seed, "seed", 0)
+    any_seed(seed)
     at_least(count, "seeds", 1)
     wanted = [(mall, MALL, _SAME_PLACE), (road, ROAD, _SAME_PLACE)]
     if variants:

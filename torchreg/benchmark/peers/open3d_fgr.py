@@ -8,13 +8,14 @@ from torchreg.benchmark.peers.method import Answer, Method, Task, no_pose, with_
 from torchreg.benchmark.peers.open3d_features import open3d_features
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference.legacy import feature, point_cloud
+from torchreg.seeds import open3d_seed
 
 
 def fast_global_registration(task: Task) -> Answer:
     """Zhou, Park and Koltun, Fast Global Registration, ECCV 2016, doi:10.1007/978-3-319-46475-6_47."""
     o3d = load_open3d()
     registration = o3d.pipelines.registration
-    o3d.utility.random.seed(task.seed)
+    o3d.utility.random.seed(open3d_seed(task.seed))
     source, target, left, right = open3d_features(task)
     solution = registration.registration_fgr_based_on_feature_matching(
         point_cloud(source),

@@ -11,6 +11,7 @@ import torch
 from torchreg.benchmark.site.method import SiteAnswer, SiteMethod, SiteTask, along_tree, numbered
 from torchreg.io import to_open3d
 from torchreg.open3d_loader import load_open3d
+from torchreg.seeds import open3d_seed
 from torchreg.types import Clouds
 
 _HYPOTHESES, _CONFIDENCE = 100_000, 0.999
@@ -48,7 +49,7 @@ def _multiway(least_overlap: float) -> SiteMethod:
 
 def _place(task: SiteTask, least_overlap: float) -> SiteAnswer:
     o3d = load_open3d()
-    o3d.utility.random.seed(task.seed)
+    o3d.utility.random.seed(open3d_seed(task.seed))
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         return _placed(o3d, task, least_overlap)
 

@@ -11,6 +11,7 @@ from torchreg.datasets import mall
 from torchreg.neighborhoods import neighbors
 from torchreg.preprocess import random_downsample
 from torchreg.registration.spacing import spacing
+from torchreg.seeds import generator_of
 from torchreg.types import Clouds
 
 _NEAR = 5  # the points that a new one lies between: one and its nearest four
@@ -28,7 +29,7 @@ def device_scene(points: int, device: torch.device) -> TimedScene:
 
 def filled(cloud: Clouds, points: int, seed: int) -> Clouds:
     """So many points out of one cloud: some of its own, or between its own and their neighbors where it has too few."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = generator_of(seed)
     if points <= len(cloud.points):
         return random_downsample(cloud, points, generator=generator)
     apart = float(spacing(cloud)[0])

@@ -51,7 +51,7 @@ def slot_weights(weights: Tensor | None, near: Neighborhoods, like: Tensor) -> T
     """Neighbor weights (P, K) in the dtype of ``like``; gradients flow on."""
     if weights is None:
         return None
-    expect_shape(weights, "neighbor_weights", (len(near), near.max_neighbors), "floating")
+    expect_shape(weights, "neighbor_weights", tuple(near.index.shape), "floating")
     if not torch.compiler.is_compiling():
         known = weights.detach().to(like)
         allowed = bool((torch.isfinite(known) & (known >= 0) | ~near.valid).all())

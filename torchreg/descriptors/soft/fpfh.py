@@ -40,7 +40,7 @@ def soft_fpfh(
         of_counts = scaled_gradient(counts, grad.view(counts.shape))
         return PieceGradient(*_gradient(piece.query, piece.neighbor, piece.votes, shares, of_counts, bandwidth))
 
-    if len(points) == 0:
+    if points.shape[0] == 0:
         return points.new_empty(0, _ANGLES * ANGLE_BINS)
     settings = None if edges is None else edges.flatten()
     table = torch.cat([points, normals], dim=1)
@@ -90,4 +90,4 @@ def _edges(piece: Piece) -> list[Tensor | None]:
     """The edges (r, bins + 1) of every angle."""
     if piece.settings is None:
         return [None] * _ANGLES
-    return list(piece.settings.view(len(piece.settings), _ANGLES, -1).unbind(1))
+    return list(piece.settings.view(piece.settings.shape[0], _ANGLES, -1).unbind(1))

@@ -46,7 +46,7 @@ def soft_pcfh(
         of_counts = scaled_gradient(counts, grad.view(counts.shape))
         return _gradient(piece, shares, votes, of_counts, channels, weighted, bandwidth)
 
-    if len(points) == 0:
+    if points.shape[0] == 0:
         return values.new_empty(0, bins * len(channels))
     settings = None if edges is None else edges.flatten()
     hhd = by_rows(histograms, values, near, neighbor_weights, settings, derivative=derivative)
@@ -57,7 +57,7 @@ def soft_pcfh(
 
 def _shares(piece: Piece, bins: int, channels: tuple[int, ...], bandwidth: float) -> list[Shares]:
     """The bins between which the differences of every channel lie."""
-    edges = None if piece.settings is None else piece.settings.view(len(piece.votes), -1, bins + 1)
+    edges = None if piece.settings is None else piece.settings.view(piece.votes.shape[0], -1, bins + 1)
     return [
         _channel_shares(
             piece.query[channel],

@@ -62,7 +62,8 @@ def by_rows(
     number of threads.
     """
     if settings is not None:
-        settings = settings.expand(len(table), -1) if transformed(settings) else _Repeated.call(settings, len(table))
+        rows = table.shape[0]
+        settings = settings.expand(rows, -1) if transformed(settings) else _Repeated.call(settings, rows)
     inputs = (table, weights, settings)
     given = [value for value in inputs if value is not None]
     if not derivative_wanted(*given) or any(map(transformed, given)):
@@ -72,7 +73,7 @@ def by_rows(
 
 def _pieces(near: Neighborhoods, table: Tensor, weights: Tensor | None, settings: Tensor | None) -> Iterator[Piece]:
     columns = [column.contiguous() for column in table.unbind(1)]
-    for rows in row_chunks(len(near), near.max_neighbors):
+    for rows in row_chunks(near.index.shape[0], near.max_neighbors):
         index = near.index[rows]
         yield Piece(
             tuple(column[rows, None] for column in columns),

@@ -67,7 +67,7 @@ def add_neighbors(
     ``histograms`` (P, blocks x bins) are in percent, ``weights`` (P, K) those of ``distance_weights``; without
     ``keep_own`` the histograms of the neighbors alone are returned. Gradients flow to histograms and weights.
     """
-    rows = neighbor_sum(histograms, near.index, weights).view(len(histograms), blocks, -1)
+    rows = neighbor_sum(histograms, near.index, weights).view(histograms.shape[0], blocks, -1)
     spread = scaled_to_100(rows).view(histograms.shape)
     return spread + histograms if keep_own else spread
 

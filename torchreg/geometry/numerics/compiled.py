@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 
 import torch
 
+from torchreg.arguments import checked
+
 VARIABLE = "TORCHREG_COMPILE"
 """Environment variable that turns compiled kernels on for a whole process, and for those that it starts."""
 
@@ -26,6 +28,7 @@ _compiled: list[Any] = []  # one cached compiler per kernel
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 
+@checked
 @contextmanager
 def compiled_kernels(enabled: bool = True) -> Iterator[None]:
     """Within this context descriptor kernels run compiled.

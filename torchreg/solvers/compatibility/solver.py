@@ -9,6 +9,8 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect
 from torchreg.geometry.numerics.partition import partition
 from torchreg.solvers.compatibility.graph import first_order
@@ -24,6 +26,7 @@ _LEAST = 3  # members with weight that a consensus set needs
 _SETS = 1 << 12  # of several pairs, that are fitted together: a few hundred cost less than the operations on them
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class CompatibilityOptions(Solver):
     """How sets of correspondences that keep their distances are formed and accepted.
@@ -69,6 +72,7 @@ class CompatibilityOptions(Solver):
             yield from _propose_together(solvers[run], points[run])
 
 
+@entry
 def compatibility(
     source: Clouds,
     target: Clouds,

@@ -10,6 +10,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchreg.arguments import checked_record
+from torchreg.entry import entry
 from torchreg.errors import at_least, fraction
 from torchreg.solvers.points import MatchedPoints, base_seed
 from torchreg.solvers.ransac.edges import Edges
@@ -20,6 +22,7 @@ from torchreg.solvers.solver import Hypotheses, Solver
 from torchreg.types import Clouds, Correspondences, RegistrationResult
 
 
+@checked_record
 @dataclass(frozen=True, kw_only=True)
 class RansacOptions(Solver):
     """How hypotheses are drawn, tested and accepted. The defaults are the paper's (section 4.1), but for ``scoring``.
@@ -92,6 +95,7 @@ class RansacOptions(Solver):
         return hypotheses
 
 
+@entry
 def ransac(
     source: Clouds,
     target: Clouds,

@@ -15,7 +15,8 @@ from typing import Generic, TypeVar
 import numpy as np
 import torch
 
-from torchreg.errors import at_least, expect
+from torchreg.errors import expect
+from torchreg.seeds import numpy_seed
 from torchreg.synthetic.scene import Array
 from torchreg.synthetic.scene.light import Light, exposed_camera
 from torchreg.synthetic.scene.placing import Contents
@@ -68,13 +69,12 @@ def scan_twice(
     relight: float,
 ) -> ScanPair:
     """Simulate one place of a kind and scan it from two stations; options and errors are those of ``mall``."""
-    at_least(seed, "seed", 0)
     expect_within(baseline, "baseline", "meters", 0, environment.longest_baseline)
     expect_within(angular_step, "angular_step", "degrees", 0.05, 5)
     expect_within(range_noise, "range_noise", "meters", 0, 0.1)
     expect_within(relight, "relight", "a number", 0, 2)
     stages = 6 + len(environment.fixtures) + len(environment.contents)
-    streams = [(seed, environment.first_stream + stage) for stage in range(stages)]
+    streams = [(numpy_seed(seed), environment.first_stream + stage) for stage in range(stages)]
     of_plan, *of_parts, of_stations, of_weather, of_light, of_cameras, of_noise = streams
     of_fixtures, of_contents = of_parts[: len(environment.fixtures)], of_parts[len(environment.fixtures) :]
     rng = np.random.default_rng
