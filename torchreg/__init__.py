@@ -44,7 +44,9 @@ from torchreg.refinement import IcpOptions
 from torchreg.refinement.icp import icp
 from torchreg.registration import LEARNED, PAPER, derive_options, options_for
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.outside import KeypointFeatures
 from torchreg.registration.register import register
+from torchreg.registration.register_features import register_features, register_matches
 from torchreg.registration.spacing import spacing
 from torchreg.registration.verify import verify
 from torchreg.site import SiteResult
@@ -81,6 +83,7 @@ __all__ = [
     "Fpfh",
     "HypothesisCounts",
     "IcpOptions",
+    "KeypointFeatures",
     "Learned",
     "Neighborhoods",
     "Pcfh",
@@ -121,6 +124,8 @@ __all__ = [
     "read_scans",
     "reference",
     "register",
+    "register_features",
+    "register_matches",
     "register_site",
     "soft_equalize",
     "soft_match",

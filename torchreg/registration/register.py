@@ -18,20 +18,20 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.geometry.numerics.threads import undisturbed
-from torchreg.matching.mutual import match_mutual
 from torchreg.registration.decide import compared, look_again
 from torchreg.registration.describe import describe_thin, description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
+from torchreg.registration.matchings import DescriptorMatching, Matched, Matching
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
-from torchreg.registration.recipes import Recipe, fused, recipes_of
+from torchreg.registration.recipes import Recipe
 from torchreg.registration.refined import given_residuals, refined
 from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
-from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
+from torchreg.types import Clouds, Correspondences, Proposal, RegistrationResult, StageCounts
 from torchreg.verification import WORK, ProposedPoses, proposals_of
 from torchreg.verification.given import GivenVerdict, given_poses
 from torchreg.verification.judge import judge_poses
@@ -146,8 +146,11 @@ def find_poses(
     colored: bool,
     seed: int,
     T_given: Tensor | None = None,
+    matching: Matching | None = None,
 ) -> Found:
     """Match, solve and decide, for the pairs of one slice.
+
+    ``matching`` says where matches come from; ``None``: from the descriptors of the options.
 
     ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
     then gets a verdict of its own.
@@ -159,12 +162,12 @@ def find_poses(
     drawn = base_seed(torch.Generator().manual_seed(seed))
     effort = options[0].effort
     proposed: list[ProposedPoses] = []
-    for recipe in recipes_of(options[0], colored=colored):
-        features = (fused(source, recipe, options[0]), fused(target, recipe, options[0]))
-        matches = _match(*features, recipe, options[0])
-        proposed.append(_solve(source, target, matches, recipe, options, drawn))
+    matching = DescriptorMatching() if matching is None else matching
+    for recipe in matching.recipes(source, options[0], colored=colored):
+        matched = matching.match(source, target, recipe, options[0])
+        proposed.append(_solve(source, target, matched.matches, recipe, options, drawn))
         if len(proposed) == 1 and effort in ("balanced", "thorough"):
-            proposed.append(_find_rivals(source, target, features, proposed[0], options, drawn))
+            proposed.append(_find_rivals(source, target, matched, proposed[0], options, drawn))
     competing = proposed if T_given is None else [*proposed, given_poses(source.cloud, target.cloud, T_given, refused)]
     given: tuple[GivenVerdict | None, ...] = (None,) * len(source)
     if effort == "plain":
@@ -172,7 +175,7 @@ def find_poses(
         again = {}
     else:
         judged = _decide(source, target, competing, options)
-        again = look_again(source, target, competing, judged, options, drawn)
+        again = look_again(source, target, competing, judged, options, drawn, matching.look)
         last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
         result, given = collect(source.cloud, target.cloud, last), tuple(pair.verdict.given for pair in last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
@@ -192,23 +195,17 @@ def find_poses(
     return Found(result, given, given_residuals(source, target, T_given, refused))
 
 
-@stage("matching")
-def _match(source: Features, target: Features, recipe: Recipe, options: RegistrationOptions) -> Correspondences:
-    """Match the features of a recipe mutually."""
-    return match_mutual(source, target, ratio=options.ratio, neighbors=recipe.neighbors)
-
-
 @stage("rivals")
 def _find_rivals(
     source: DescribedClouds,
     target: DescribedClouds,
-    features: tuple[Features, Features],
+    matched: Matched,
     first: ProposedPoses,
     options: Sequence[RegistrationOptions],
     seed: int,
 ) -> ProposedPoses:
     """Propose what the best poses of the first recipe leave unexplained."""
-    return rivals(source.cloud, target.cloud, features, first, options, seed)
+    return rivals(source.cloud, target.cloud, matched.near(), first, options, seed)
 
 
 @stage("hypotheses")
@@ -257,5 +254,13 @@ def _stage_counts(
 
     given = of_both(lambda side: [facts.points for facts in side.facts])
     points = of_both(lambda side: side.cloud.lengths)
-    described = of_both(lambda side: [int(valid.sum()) for valid in side.features[0].valid.split(side.cloud.lengths)])
+    described = of_both(_described_counts)
     return tuple(map(StageCounts, given, points, described, proposals))
+
+
+def _described_counts(side: DescribedClouds) -> list[int]:
+    """Of every cloud, its points with a valid feature; all of them where it is matched by none."""
+    matched_by = side.features[:1] if side.outside is None else (side.outside,)
+    if not matched_by:
+        return side.cloud.lengths
+    return [int(valid.sum()) for valid in matched_by[0].valid.split(side.cloud.lengths)]
