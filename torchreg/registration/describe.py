@@ -61,14 +61,14 @@ def _description(options: RegistrationOptions) -> Description:
     )
 
 
-def judging_description(options: RegistrationOptions, *, colored: bool) -> Description:
+def judging_description(options: RegistrationOptions, *, colored: bool, always: bool = False) -> Description:
     """What the options describe a cloud with where it is matched by something else: what poses are judged by, alone.
 
     That is the first descriptor of geometry and the first of color, of each cloud by itself; none where the effort is
-    plain, which judges no pose.
+    plain, which judges no pose, unless they are ``always`` wanted.
     """
     first: dict[bool, Descriptor] = {}
-    for record in options.descriptors if options.effort != "plain" else ():
+    for record in options.descriptors if always or options.effort != "plain" else ():
         if not record.is_pairwise and (colored or not record.needs_colors):
             first.setdefault(record.needs_colors, record)
     kept = tuple(record for record in options.descriptors if any(record is each for each in first.values()))

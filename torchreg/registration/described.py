@@ -161,7 +161,8 @@ class DescribedClouds:
 
 
 def _joined(parts: Sequence[Features], offsets: Tensor) -> Features:
-    """Features of one kind, those of several batches one after another."""
+    """Features of one kind, those of several batches one after another; a batch without rows may have any width."""
+    parts = [part for part in parts if len(part.values) > 0] or parts[:1]
     values, valid = torch.cat([part.values for part in parts]), torch.cat([part.valid for part in parts])
     return Features(values, offsets, parts[0].blocks, valid)
 

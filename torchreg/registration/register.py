@@ -19,16 +19,17 @@ from torch import Tensor
 from torchreg.errors import expect
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.registration.decide import compared, look_again
-from torchreg.registration.describe import describe_thin, description_of, expect_alike
+from torchreg.registration.describe import description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
-from torchreg.registration.matchings import DescriptorMatching, Matched, Matching
+from torchreg.registration.matchings import Matched, Matching
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
 from torchreg.registration.recipes import Recipe
 from torchreg.registration.refined import given_residuals, refined
 from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
+from torchreg.registration.trained import BY_OPTIONS, Trained, by_module
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Proposal, RegistrationResult, StageCounts
@@ -46,6 +47,7 @@ def register(
     effort: str | None = None,
     solver: Solver | str | None = None,
     refine: str | None = None,
+    describe: Trained | None = None,
     seed: int = 0,
     max_bytes: int | None = None,
 ) -> RegistrationResult:
@@ -69,6 +71,11 @@ def register(
             ``None`` takes that of the options.
         refine: how far the poses found are refined, ``"none"``, ``"coarse"`` or ``"full"``, as in
             ``RegistrationOptions``; ``None`` takes that of the options: full where they are derived, none in ``PAPER``.
+        describe: an ``nn.Module`` (or a function) that describes clouds in place of the options' descriptors, which
+            then judge poses alone. It is called in evaluation mode, without gradients, once for every distinct cloud:
+            with ``Clouds`` of one thinned cloud with normals, and with colors where both sides have them; and, where it
+            takes a second argument, with the ``Neighborhoods`` of its points (the widest support of the options). It
+            returns features as ``register_features`` takes them: (P, D), or ``Features``.
         seed: of every random draw. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
@@ -79,7 +86,8 @@ def register(
         ``success`` false and its ``failure``; it does not affect the others. No gradients.
 
     Raises:
-        ValueError: different numbers of clouds, or options that do not fit.
+        TypeError: a ``describe`` that cannot be called, or returns something else than features.
+        ValueError: different numbers of clouds, options that do not fit, or features that do not fit the points.
 
     Example:
         >>> import torchreg as tr
@@ -89,11 +97,22 @@ def register(
         torch.Size([1, 4, 4])
     """
     with stopwatch() as seconds, undisturbed(source.points):
-        plan = Plan(source, target, options, effort=effort, solver=solver, refine=refine, max_bytes=max_bytes)
+        way = BY_OPTIONS if describe is None else by_module(describe)
+        plan = Plan(
+            source,
+            target,
+            options,
+            effort=effort,
+            solver=solver,
+            refine=refine,
+            max_bytes=max_bytes,
+            described_by=way.description,
+        )
         results = []
         for pairs in plan.slices:
-            described = plan.sides(pairs, describe_thin)
-            results.append(find_poses(*described, plan.options[pairs], colored=plan.colored, seed=seed).result)
+            sides = plan.sides(pairs, way.describe)
+            found = find_poses(*sides, plan.options[pairs], colored=plan.colored, seed=seed, matching=way.matching)
+            results.append(found.result)
     return joined(results, seconds=seconds)
 
 
@@ -146,11 +165,11 @@ def find_poses(
     colored: bool,
     seed: int,
     T_given: Tensor | None = None,
-    matching: Matching | None = None,
+    matching: Matching = BY_OPTIONS.matching,
 ) -> Found:
     """Match, solve and decide, for the pairs of one slice.
 
-    ``matching`` says where matches come from; ``None``: from the descriptors of the options.
+    ``matching`` says where matches come from.
 
     ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
     then gets a verdict of its own.
@@ -162,7 +181,6 @@ def find_poses(
     drawn = base_seed(torch.Generator().manual_seed(seed))
     effort = options[0].effort
     proposed: list[ProposedPoses] = []
-    matching = DescriptorMatching() if matching is None else matching
     for recipe in matching.recipes(source, options[0], colored=colored):
         matched = matching.match(source, target, recipe, options[0])
         proposed.append(_solve(source, target, matched.matches, recipe, options, drawn))

@@ -79,8 +79,8 @@ def register_features(
         >>> pair = tr.datasets.mall(seed=1, angular_step=1.5)
         >>> f, g = (torch.rand(len(cloud.points), 32) for cloud in (pair.source, pair.target))  # from your network
         >>> result = tr.register_features(pair.source, pair.target, f, g)
-        >>> result.success  # random features find nothing
-        tensor([False])
+        >>> result.T_target_source.shape
+        torch.Size([1, 4, 4])
     """
     expect_clouds(source, target)
     _expect_pairs(source, target)
