@@ -16,7 +16,7 @@ from torchreg.benchmark.site import registry as site_registry
 from torchreg.benchmark.site.method import SiteAnswer, SiteMethod
 from torchreg.cli import app as app_module
 
-UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
+UNITS = "METERS|MODULE|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
 
 
 @pytest.mark.parametrize("name", ["field", "3dmatch", "features", "site", "paper", "speed"])
