@@ -67,6 +67,7 @@ class OutsidePlan:
             kept_points(source, voxels, wanted.source, every=wanted.every),
             kept_points(target, voxels, wanted.target, every=wanted.every),
         )
+        self._given = source.offsets, target.offsets
         self._thinned = (source, target) if any(voxel is not None for voxel in voxels) else None
         self._plan = Plan(
             self.kept[0].cloud,
@@ -98,14 +99,18 @@ class OutsidePlan:
         rows = rows[kept.to(rows.device)]
         return replace(described, outside=Features(features.values[rows], own, features.blocks, features.valid[rows]))
 
-    def places(self, side: int) -> Tensor:
-        """(P,) int64, for every given point its place among those that are kept of its cloud, or -1."""
-        cloud, rows = self.kept[side]
-        starts = torch.tensor([begin for begin, _ in spans(cloud.offsets)], device=rows.device)
-        lengths = torch.tensor(cloud.lengths, device=rows.device)
-        place = torch.arange(len(rows), device=rows.device) - starts.repeat_interleave(lengths)
-        most = int(rows.amax()) + 1 if len(rows) > 0 else 0
-        return rows.new_full((most,), -1).index_put((rows,), place)
+    def places(self, side: int, rows: Sequence[Tensor]) -> list[Tensor]:
+        """Rows of every given cloud of a side, as rows of what is kept of that cloud; all of them must be kept."""
+        cloud, kept = self.kept[side]
+        moved = []
+        for (begin, end), (first, _), of_cloud in zip(
+            spans(cloud.offsets), spans(self._given[side]), rows, strict=True
+        ):
+            own = kept[begin:end] - first
+            most = int(own.amax()) + 1 if len(own) > 0 else 0
+            place = own.new_zeros(most).index_put((own,), torch.arange(len(own), device=own.device))
+            moved.append(place[of_cloud])
+        return moved
 
     def in_given_order(self, result: RegistrationResult) -> RegistrationResult:
         """The result with the points of every cloud in the order that they were given in."""

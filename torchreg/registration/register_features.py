@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from torchreg.errors import expect, expect_device
 from torchreg.geometry.numerics.threads import undisturbed
@@ -29,6 +30,7 @@ from torchreg.registration.rivals import NearMatches
 from torchreg.registration.stopwatch import stopwatch
 from torchreg.solvers import Solver
 from torchreg.types import Clouds, RegistrationResult
+from torchreg.types.packing import spans
 
 
 def register_features(
@@ -160,32 +162,25 @@ def register_matches(
     expect_clouds(source, target)
     _expect_pairs(source, target)
     with stopwatch() as seconds, undisturbed(source.points):
-        checked = checked_matches(matches, source, target)
-        sides = [
-            [side + int(begin) for side, begin in zip(rows, cloud.offsets, strict=False)]
-            for rows, cloud in (
-                ([pair.source for pair in checked], source),
-                ([pair.target for pair in checked], target),
-            )
-        ]
-        marks = [
-            torch.zeros(len(cloud.points), dtype=torch.bool, device=cloud.device).index_fill(0, torch.cat(rows), True)
-            for rows, cloud in zip(sides, (source, target), strict=True)
-        ]
+        pairs_of_rows = checked_matches(matches, source, target)
         plan = OutsidePlan(
             source,
             target,
             options,
-            Wanted(marks[0], marks[1], every=True),
+            Wanted(
+                _matched([pair.source for pair in pairs_of_rows], source),
+                _matched([pair.target for pair in pairs_of_rows], target),
+                every=True,
+            ),
             effort=effort,
             solver=solver,
             refine=refine,
             max_bytes=max_bytes,
         )
-        places = plan.places(0), plan.places(1)
-        moved = [
-            NearMatches(places[0][i], places[1][j], pair.score) for i, j, pair in zip(*sides, checked, strict=True)
-        ]
+        sources = plan.places(0, [pair.source for pair in pairs_of_rows])
+        targets = plan.places(1, [pair.target for pair in pairs_of_rows])
+        scores = [pair.score for pair in pairs_of_rows]
+        kept = [NearMatches(*pair) for pair in zip(sources, targets, scores, strict=True)]
         results = []
         for pairs in plan.slices:
             found = find_poses(
@@ -193,7 +188,7 @@ def register_matches(
                 plan.options[pairs],
                 colored=plan.colored,
                 seed=seed,
-                matching=GivenMatching(moved[pairs]),
+                matching=GivenMatching(kept[pairs]),
             )
             results.append(found.result)
     return plan.in_given_order(joined(results, seconds=seconds))
@@ -203,3 +198,11 @@ def _expect_pairs(source: Clouds, target: Clouds) -> None:
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     expect(len(source) > 0, "source", "at least one cloud", len(source))
     expect_device(target.points, "target", source.device)
+
+
+def _matched(rows: Sequence[Tensor], clouds: Clouds) -> Tensor:
+    """(P,) bool, the points that stand in a match, by the rows of every cloud."""
+    marks = torch.zeros(len(clouds.points), dtype=torch.bool, device=clouds.device)
+    for (begin, _), of_cloud in zip(spans(clouds.offsets), rows, strict=True):
+        marks[begin + of_cloud] = True
+    return marks
