@@ -19,7 +19,6 @@ from torchreg.registration.looks import second_look
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.recipes import Recipe, fused, outside_recipes, recipes_of
 from torchreg.registration.rivals import NearMatches, nearest_matches
-from torchreg.registration.stopwatch import stage
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Correspondences, Features
 from torchreg.types.packing import offsets_of
@@ -29,6 +28,10 @@ COARSER = 2.0
 """How many times as far apart matched points may lie at the second look at features or matches from elsewhere."""
 
 _NEAREST = 2  # rows that may match then
+
+
+Mutual = Callable[[Features, Features, Recipe, RegistrationOptions], Correspondences]
+"""Matches the features of a recipe mutually."""
 
 
 class Matched(NamedTuple):
@@ -47,9 +50,14 @@ class Matching(ABC):
 
     @abstractmethod
     def match(
-        self, source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
+        self,
+        source: DescribedClouds,
+        target: DescribedClouds,
+        recipe: Recipe,
+        options: RegistrationOptions,
+        mutual: Mutual,
     ) -> Matched:
-        """Match all pairs by a recipe; those without points have no match."""
+        """Match all pairs by a recipe, features by ``mutual``; pairs without points have no match."""
 
     @abstractmethod
     def look(
@@ -72,11 +80,16 @@ class DescriptorMatching(Matching):
         return recipes_of(options, colored=colored)
 
     def match(
-        self, source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
+        self,
+        source: DescribedClouds,
+        target: DescribedClouds,
+        recipe: Recipe,
+        options: RegistrationOptions,
+        mutual: Mutual,
     ) -> Matched:
         """Mutual nearest neighbors."""
         features = fused(source, recipe, options), fused(target, recipe, options)
-        return _by_features(source, target, features, recipe, options)
+        return _by_features(source, target, features, mutual(*features, recipe, options))
 
     def look(
         self,
@@ -99,10 +112,16 @@ class FeatureMatching(Matching):
         return outside_recipes(tuple(name for name, _ in _outside(source).blocks), options)
 
     def match(
-        self, source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
+        self,
+        source: DescribedClouds,
+        target: DescribedClouds,
+        recipe: Recipe,
+        options: RegistrationOptions,
+        mutual: Mutual,
     ) -> Matched:
         """Mutual nearest neighbors."""
-        return _by_features(source, target, (_outside(source), _outside(target)), recipe, options)
+        features = _outside(source), _outside(target)
+        return _by_features(source, target, features, mutual(*features, recipe, options))
 
     def look(
         self,
@@ -135,7 +154,12 @@ class GivenMatching(Matching):
         return tuple(dict.fromkeys(recipe._replace(neighbors=1) for recipe in every))
 
     def match(
-        self, source: DescribedClouds, target: DescribedClouds, recipe: Recipe, options: RegistrationOptions
+        self,
+        source: DescribedClouds,
+        target: DescribedClouds,
+        recipe: Recipe,
+        options: RegistrationOptions,
+        mutual: Mutual,
     ) -> Matched:
         """The matches as they are."""
         firsts = zip(source.cloud.offsets.tolist(), target.cloud.offsets.tolist(), strict=True)
@@ -169,16 +193,10 @@ def _by_features(
     source: DescribedClouds,
     target: DescribedClouds,
     features: tuple[Features, Features],
-    recipe: Recipe,
-    options: RegistrationOptions,
+    matches: Correspondences,
 ) -> Matched:
     colored = source.cloud.colors is not None and target.cloud.colors is not None
-    return Matched(_mutual(*features, recipe, options), lambda: nearest_matches(features, colored=colored))
-
-
-@stage("matching")
-def _mutual(source: Features, target: Features, recipe: Recipe, options: RegistrationOptions) -> Correspondences:
-    return match_mutual(source, target, ratio=options.ratio, neighbors=recipe.neighbors)
+    return Matched(matches, lambda: nearest_matches(features, colored=colored))
 
 
 def _correspondences(matches: Sequence[NearMatches]) -> Correspondences:

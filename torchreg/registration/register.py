@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchreg.errors import expect
 from torchreg.geometry.numerics.threads import undisturbed
+from torchreg.matching.mutual import match_mutual
 from torchreg.registration.decide import compared, look_again
 from torchreg.registration.describe import description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
@@ -32,7 +33,7 @@ from torchreg.registration.stopwatch import stage, stopwatch
 from torchreg.registration.trained import BY_OPTIONS, Trained, by_module
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
-from torchreg.types import Clouds, Correspondences, Proposal, RegistrationResult, StageCounts
+from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
 from torchreg.verification import WORK, ProposedPoses, proposals_of
 from torchreg.verification.given import GivenVerdict, given_poses
 from torchreg.verification.judge import judge_poses
@@ -182,7 +183,7 @@ def find_poses(
     effort = options[0].effort
     proposed: list[ProposedPoses] = []
     for recipe in matching.recipes(source, options[0], colored=colored):
-        matched = matching.match(source, target, recipe, options[0])
+        matched = matching.match(source, target, recipe, options[0], _match)
         proposed.append(_solve(source, target, matched.matches, recipe, options, drawn))
         if len(proposed) == 1 and effort in ("balanced", "thorough"):
             proposed.append(_find_rivals(source, target, matched, proposed[0], options, drawn))
@@ -211,6 +212,12 @@ def find_poses(
         stages=stages,
     )
     return Found(result, given, given_residuals(source, target, T_given, refused))
+
+
+@stage("matching")
+def _match(source: Features, target: Features, recipe: Recipe, options: RegistrationOptions) -> Correspondences:
+    """Match the features of a recipe mutually."""
+    return match_mutual(source, target, ratio=options.ratio, neighbors=recipe.neighbors)
 
 
 @stage("rivals")
