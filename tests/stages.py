@@ -109,6 +109,10 @@ def _pose(result: tr.RegistrationResult) -> Any:
     return result.success, result.T_target_source, result.probability
 
 
+def _thinned() -> tr.RegistrationOptions:
+    return tr.options_for(0.2, voxel_size=0.2)
+
+
 def _verdict(verification: tr.Verification) -> Any:
     return verification.success, verification.probability
 
@@ -181,6 +185,16 @@ STAGES: dict[str, Stage] = {
     "register, refined coarsely": _whole(lambda g: _pose(tr.register(g.source, g.target, refine="coarse")), 1100),
     "register, the paper's preset": _whole(lambda g: _pose(tr.register(g.source, g.target, tr.PAPER)), 350),
     "register, a batch": _whole(lambda g: _pose(tr.register(*g.batch)), 2200),
+    "register_features": _whole(
+        lambda g: _pose(tr.register_features(g.source, g.target, g.features, g.other_features)), 1400
+    ),
+    "register_features, thinned": _whole(
+        lambda g: _pose(tr.register_features(g.source, g.target, g.features, g.other_features, _thinned())), 1400
+    ),
+    "register_matches": _whole(lambda g: _pose(tr.register_matches(g.source, g.target, g.matches)), 1400),
+    "register, described by a module": _whole(
+        lambda g: _pose(tr.register(g.source, g.target, describe=FPFH(binning="hard"))), 1400
+    ),
     "soft descriptors and their gradients": Stage(run=_soft_descriptors, transfers=8, atol=1e-3),
     "dual softmax and its gradient": Stage(run=partial(_soft_match, "dual_softmax"), transfers=0, atol=1e-5),
     "sinkhorn and its gradient": Stage(run=partial(_soft_match, "sinkhorn"), transfers=0, atol=1e-5),

@@ -50,7 +50,9 @@ from torchreg.refinement import IcpOptions, IcpResult
 from torchreg.refinement.icp import icp
 from torchreg.registration import LEARNED, PAPER, derive_options, options_for
 from torchreg.registration.options import RegistrationOptions
+from torchreg.registration.outside import KeypointFeatures
 from torchreg.registration.register import register
+from torchreg.registration.register_features import register_features, register_matches
 from torchreg.registration.spacing import spacing
 from torchreg.registration.verify import verify
 from torchreg.site import SiteResult
@@ -88,6 +90,7 @@ __all__ = [
     "HypothesisCounts",
     "IcpOptions",
     "IcpResult",
+    "KeypointFeatures",
     "Learned",
     "Neighborhoods",
     "Pcfh",
@@ -131,6 +134,8 @@ __all__ = [
     "read_scans",
     "reference",
     "register",
+    "register_features",
+    "register_matches",
     "register_site",
     "soft_equalize",
     "soft_match",

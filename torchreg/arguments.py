@@ -28,6 +28,7 @@ class Kind(NamedTuple):
 
     accepts: Callable[[Any], bool]
     words: str  # that follow "expected"; empty where everything is accepted
+    advice: Callable[[Any], str] = lambda value: ""  # how it is made of what came; empty where nothing is known
 
 
 _ANYTHING = Kind(lambda value: True, "")
@@ -115,7 +116,8 @@ def kind_of(annotation: Any) -> Kind:  # noqa: ANN401
     kind = origin if origin is not None else annotation
     if not isinstance(kind, type) or kind in (Any, object) or getattr(kind, "_is_protocol", False):
         return _ANYTHING
-    return Kind(lambda value: isinstance(value, kind), _NAMES.get(kind, kind.__name__))
+    advice = getattr(kind, "_made_of", _ANYTHING.advice)
+    return Kind(lambda value: isinstance(value, kind), _NAMES.get(kind, kind.__name__), advice)
 
 
 def _any_of(kinds: Sequence[Kind]) -> Kind:
@@ -176,7 +178,9 @@ _NAMES = {
 def expect_kind(value: object, name: str, kind: Kind) -> None:
     """Raise ``ArgumentTypeError`` with the argument's name, what was expected and what came, unless it is accepted."""
     if not kind.accepts(value):
-        raise ArgumentTypeError(f"{name}: expected {kind.words}, got {described_with_type(value)}")
+        advice = kind.advice(value)
+        wanted = f"{kind.words}, such as {advice}," if advice else f"{kind.words},"
+        raise ArgumentTypeError(f"{name}: expected {wanted} got {described_with_type(value)}")
 
 
 def _expect(value: object, parameter: Parameter | None) -> None:

@@ -16,10 +16,10 @@ from torchreg.benchmark.site import registry as site_registry
 from torchreg.benchmark.site.method import SiteAnswer, SiteMethod
 from torchreg.cli import app as app_module
 
-UNITS = "METERS|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
+UNITS = "METERS|MODULE|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
 
 
-@pytest.mark.parametrize("name", ["field", "3dmatch", "site", "paper", "speed"])
+@pytest.mark.parametrize("name", ["field", "3dmatch", "features", "site", "paper", "speed"])
 def test_every_option_names_its_unit(run, name):
     command = typer.main.get_command(app_module.app).commands["bench"].commands[name]
     for parameter in command.params:
@@ -75,6 +75,22 @@ def test_3dmatch(run, tmp_path):
     assert run(*words, "--seed", "1").exit_code == 2
     assert run(*words, "--log", "no.log").exit_code == 2
     assert run("bench", "3dmatch", tmp_path / "nowhere", "--out", out).exit_code == 2
+
+
+def test_features(run, tmp_path, monkeypatch):
+    (tmp_path / "data").mkdir()
+    data = project(tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "heights_of_points.py").write_text("def heights(cloud):\n    return cloud.points\n")
+    words = ("--data", data, "--out", tmp_path / "out", "--methods", "fpfh", "--quick")
+    result = run("bench", "features", "heights_of_points:heights", *words)
+    assert result.exit_code == 0, result.output
+    text = (tmp_path / "out" / "features.md").read_text()
+    assert "heights_of_points:heights, matches alone" in text
+    assert "FPFH as given features" in text
+    unknown = run("bench", "features", "heights_of_points:nothing", *words)
+    assert unknown.exit_code == 2
+    assert "adapter: expected a callable that can be imported" in unknown.stderr
 
 
 @pytest.mark.parametrize("name", ["field", "3dmatch"])

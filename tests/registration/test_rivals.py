@@ -8,7 +8,7 @@ import torchreg as tr
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.registration.describe import describe_clouds
 from torchreg.registration.recipes import fused, recipes_of
-from torchreg.registration.rivals import rivals
+from torchreg.registration.rivals import nearest_matches, rivals
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.verification import ProposedPoses
 
@@ -23,7 +23,8 @@ def first_and_rivals(shapes):
     matches = tr.match_mutual(*features)
     poses = poses_of_pairs(sides[0].cloud, sides[1].cloud, matches, [options.solver])
     first = ProposedPoses("first", matches, poses)
-    return sides, first, rivals(sides[0].cloud, sides[1].cloud, features, first, [options], 0), options
+    near = nearest_matches(features, colored=False)
+    return sides, first, rivals(sides[0].cloud, sides[1].cloud, near, first, [options], 0), options
 
 
 def test_the_other_pose_of_a_symmetric_room_is_a_rival():

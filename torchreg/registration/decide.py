@@ -1,12 +1,12 @@
 """The decision on pairs: all poses weighed on the clouds and judged, and pairs in doubt looked at once more.
 
-The first look proposes poses in one or a few ways. Where its best pose does not convince, ``second_look`` proposes
+The first look proposes poses in one or a few ways. Where its best pose does not convince, a second ``Look`` proposes
 more, and all of them are judged together; so an easy pair costs little, and a hard one is given what it needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 from torch import Tensor
@@ -15,7 +15,6 @@ from torchreg.descriptors.fuse import unit_rows
 from torchreg.geometry.numerics.threads import shared_out
 from torchreg.native import kernel_threads
 from torchreg.registration.described import DescribedClouds
-from torchreg.registration.looks import second_look
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.stopwatch import stage
 from torchreg.types import Failure, Proposal
@@ -30,6 +29,9 @@ from torchreg.verification import (
 from torchreg.verification.impostors import IMPOSTORS
 from torchreg.verification.judge import judge_poses
 from torchreg.verification.verdicts import JudgedPair
+
+Look = Callable[[int, DescribedClouds, DescribedClouds, RegistrationOptions, int, Collection[str]], list[ProposedPoses]]
+"""Proposes more poses of one pair: its number, its clouds, its options, a seed, origins of proposals there are."""
 
 
 class SecondLook(NamedTuple):
@@ -60,6 +62,7 @@ def look_again(
     judged: Sequence[JudgedPair],
     options: Sequence[RegistrationOptions],
     seed: int,
+    look: Look,
 ) -> dict[int, SecondLook]:
     """Look again at pairs, each by itself: at ``"balanced"`` those that are refused, at ``"thorough"`` all."""
     work = WORK_AGAIN.get(options[0].effort)
@@ -75,16 +78,16 @@ def look_again(
         return {}
     sources, targets = source.unpack(), target.unpack()
 
-    def look(b: int) -> SecondLook:
+    def judged_again(b: int) -> SecondLook:
         before = {part.origin for part in proposed}
-        seen = second_look(sources[b], targets[b], options[b], seed, before)
+        seen = look(b, sources[b], targets[b], options[b], seed, before)
         both = [part.of_pair(b, source.cloud, target.cloud) for part in proposed] + seen
         one, other = sources[b], targets[b]
-        judged_again = judge_poses(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)
-        return SecondLook(judged_again[0], proposals_of(seen, 0))
+        pair = judge_poses(one.cloud, other.cloud, both, *compared(one, other, options[b : b + 1]), work)[0]
+        return SecondLook(pair, proposals_of(seen, 0))
 
     workers = kernel_threads() if source.cloud.device.type == "cpu" else 1
-    return dict(zip(again, shared_out(look, again, workers), strict=True))
+    return dict(zip(again, shared_out(judged_again, again, workers), strict=True))
 
 
 def _in_doubt(failure: Failure | None, *, always: bool) -> bool:

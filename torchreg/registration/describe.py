@@ -47,14 +47,33 @@ def description_of(options: RegistrationOptions, *, colored: bool) -> Descriptio
     """
     records = tuple(record for record in options.descriptors if colored or not record.needs_colors)
     expect(len(records) > 0, "options.descriptors", "one that needs no colors, for clouds without", options.descriptors)
+    return replace(_description(options), descriptors=records)
+
+
+def _description(options: RegistrationOptions) -> Description:
+    """All but the descriptors, which it has none of."""
     return Description(
         voxel_size=options.voxel_size,
         normal_radius=options.normal_radius,
         normal_max_neighbors=options.normal_max_neighbors,
-        descriptors=records,
+        descriptors=(),
         refine=options.refine,
         refine_points=0 if options.refine == "none" else options.refine_points,
     )
+
+
+def judging_description(options: RegistrationOptions, *, colored: bool, always: bool = False) -> Description:
+    """What the options describe a cloud with where it is matched by something else: what poses are judged by, alone.
+
+    That is the first descriptor of geometry and the first of color, of each cloud by itself; none where the effort is
+    plain, which judges no pose, unless they are ``always`` wanted.
+    """
+    first: dict[bool, Descriptor] = {}
+    for record in options.descriptors if always or options.effort != "plain" else ():
+        if not record.is_pairwise and (colored or not record.needs_colors):
+            first.setdefault(record.needs_colors, record)
+    kept = tuple(record for record in options.descriptors if any(record is each for each in first.values()))
+    return replace(_description(options), descriptors=kept)
 
 
 @entry

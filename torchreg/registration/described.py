@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -32,12 +33,12 @@ class Description:
     @property
     def max_neighbors(self) -> int:
         """The slots of the one search that serves normals and descriptors."""
-        return max(self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors))
+        return max([self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors)])
 
     @property
     def widest(self) -> float:
         """Meters, the radius of that search."""
-        return max(self.normal_radius, *(record.radius for record in self.descriptors))
+        return max([self.normal_radius, *(record.radius for record in self.descriptors)])
 
     @property
     def is_pairwise(self) -> bool:
@@ -56,6 +57,8 @@ class DescribedClouds:
         spacing: B numbers, meters, the median distance to the fourth nearest other point.
         facts: of the B clouds as they were given.
         surfels: of the B clouds, to refine poses on; ``None`` where poses are not refined.
+        outside: features from elsewhere that the clouds are matched by in place of ``features``, which then judge poses
+            alone; ``None`` where there are none. They have the offsets of ``cloud``.
     """
 
     cloud: Clouds
@@ -64,12 +67,13 @@ class DescribedClouds:
     spacing: tuple[float, ...]
     facts: tuple[CloudFacts, ...]
     surfels: Surfels | None = None
+    outside: Features | None = None
 
     def __post_init__(self) -> None:
         for name in ("descriptions", "spacing", "facts"):
             count = len(getattr(self, name))
             expect(count == len(self.cloud), name, f"one per cloud ({len(self.cloud)})", count)
-        for features in self.features:
+        for features in (*self.features, *self._of_outside()):
             expect(torch.equal(features.offsets, self.cloud.offsets), "features", "the offsets of the cloud", features)
         for description in self.descriptions:
             fits = len(description.descriptors) == len(self.features)
@@ -92,17 +96,16 @@ class DescribedClouds:
         kinds = {besides_lengths(description) for part in parts for description in part.descriptions}
         expect(len(kinds) <= 1, "parts", "the same descriptors in all", kinds)
         cloud = Clouds.pack([part.cloud for part in parts])
-        features = []
-        for blocks in zip(*(part.features for part in parts), strict=True):
-            values, valid = torch.cat([block.values for block in blocks]), torch.cat([block.valid for block in blocks])
-            features.append(Features(values, cloud.offsets, blocks[0].blocks, valid))
+        features = zip(*(part.features for part in parts), strict=True)
+        outside = list(zip(*(part._of_outside() for part in parts), strict=True))
         return DescribedClouds(
             cloud=cloud,
-            features=tuple(features),
+            features=tuple(_joined(blocks, cloud.offsets) for blocks in features),
             descriptions=tuple(description for part in parts for description in part.descriptions),
             spacing=tuple(spacing for part in parts for spacing in part.spacing),
             facts=tuple(facts for part in parts for facts in part.facts),
             surfels=_packed([part.surfels for part in parts]),
+            outside=_joined(outside[0], cloud.offsets) if outside else None,
         )
 
     def unpack(self) -> list[DescribedClouds]:
@@ -111,7 +114,7 @@ class DescribedClouds:
         return [
             DescribedClouds(
                 cloud=cloud,
-                features=self._features(cloud.offsets, itemgetter(slice(begin, end))),
+                **self._features(cloud.offsets, itemgetter(slice(begin, end))),
                 descriptions=self.descriptions[b : b + 1],
                 spacing=self.spacing[b : b + 1],
                 facts=self.facts[b : b + 1],
@@ -128,26 +131,40 @@ class DescribedClouds:
         index = index.to(self.cloud.device)
         cloud = self.cloud.rows(index, offsets)
         surfels = None if self.surfels is None else self.surfels.without(refused)
-        return replace(self, cloud=cloud, features=self._features(offsets, lambda rows: rows[index]), surfels=surfels)
+        return replace(self, cloud=cloud, **self._features(offsets, lambda rows: rows[index]), surfels=surfels)
 
     def clone(self) -> DescribedClouds:
         """A copy in memory of its own."""
         cloud = Clouds.pack([self.cloud])  # which copies
         surfels = None if self.surfels is None else Surfels.pack([self.surfels])
-        return replace(self, cloud=cloud, features=self._features(cloud.offsets, Tensor.clone), surfels=surfels)
+        return replace(self, cloud=cloud, **self._features(cloud.offsets, Tensor.clone), surfels=surfels)
 
     def to(self, device: torch.device | str) -> DescribedClouds:
         """Copy to a device."""
         cloud = self.cloud.to(device)
         surfels = None if self.surfels is None else self.surfels.to(device)
         features = self._features(cloud.offsets, lambda rows: rows.to(device))
-        return replace(self, cloud=cloud, features=features, surfels=surfels)
+        return replace(self, cloud=cloud, **features, surfels=surfels)
 
-    def _features(self, offsets: Tensor, change: Callable[[Tensor], Tensor]) -> tuple[Features, ...]:
-        """The features with every tensor of rows changed by a function."""
-        return tuple(
-            Features(change(block.values), offsets, block.blocks, change(block.valid)) for block in self.features
-        )
+    def _features(self, offsets: Tensor, change: Callable[[Tensor], Tensor]) -> dict[str, Any]:
+        """The fields of features with every tensor of rows changed by a function."""
+
+        def changed(block: Features) -> Features:
+            return Features(change(block.values), offsets, block.blocks, change(block.valid))
+
+        outside = None if self.outside is None else changed(self.outside)
+        return {"features": tuple(map(changed, self.features)), "outside": outside}
+
+    def _of_outside(self) -> tuple[Features, ...]:
+        """The features from elsewhere, where there are some."""
+        return () if self.outside is None else (self.outside,)
+
+
+def _joined(parts: Sequence[Features], offsets: Tensor) -> Features:
+    """Features of one kind, those of several batches one after another; a batch without rows may have any width."""
+    parts = [part for part in parts if len(part.values) > 0] or parts[:1]
+    values, valid = torch.cat([part.values for part in parts]), torch.cat([part.valid for part in parts])
+    return Features(values, offsets, parts[0].blocks, valid)
 
 
 def _packed(parts: Sequence[Surfels | None]) -> Surfels | None:

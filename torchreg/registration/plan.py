@@ -52,6 +52,9 @@ class _Job(NamedTuple):
 class Plan:
     """The options and slices of a call of ``register``, and the described clouds of each slice.
 
+    What a cloud is described by follows from the options by ``described_by``; ``point_bytes`` is the memory of a point
+    for what is kept beside its description.
+
     Attributes:
         options: of every pair.
         colored: whether both sides have colors.
@@ -68,12 +71,14 @@ class Plan:
         solver: Solver | str | None,
         refine: str | None,
         max_bytes: int | None,
+        described_by: Callable[..., Description] = description_of,
+        point_bytes: int = 0,
     ) -> None:
         expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
         expect(len(source) > 0, "source", "at least one cloud", len(source))
         expect_device(target.points, "target", source.device)
         expect(target.points.dtype == source.points.dtype, "target", f"points in {source.points.dtype}", target.points)
-        self._budget = budget(max_bytes, source.device)
+        self._budget, self._described_by = budget(max_bytes, source.device), described_by
         source, target = source.detach(), target.detach()
         self.colored = source.colors is not None and target.colors is not None
         self._numbers = same_clouds([source, target])
@@ -102,7 +107,9 @@ class Plan:
         self._last = {job: b for b, pair in enumerate(self._pairs) for job in pair}
         self._described: dict[int, DescribedClouds] = {}
         sizes = [sum(len(self._thin[job].points) for job in pair) for pair in self._pairs]
-        self.slices = partition([pair_bytes(size, self.options[0]) for size in sizes], self._budget)
+        self.slices = partition(
+            [pair_bytes(size, self.options[0]) + point_bytes * size for size in sizes], self._budget
+        )
 
     def sides(self, rows: slice, describe: Describe) -> tuple[DescribedClouds, DescribedClouds]:
         """Both sides of the pairs of a slice, slice after slice: what no earlier slice had is described now.
@@ -163,7 +170,7 @@ class Plan:
 
     def _job(self, b: int, side: int) -> _Job:
         number = _NOTHING if self._refusal(b, self.options[b]) else self._numbers[side][b]
-        description = description_of(self.options[b], colored=self.colored)
+        description = self._described_by(self.options[b], colored=self.colored)
         return _Job(number, description, b, side) if description.is_pairwise else _Job(number, description)
 
 

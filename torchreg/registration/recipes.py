@@ -57,9 +57,21 @@ def recipes_of(options: RegistrationOptions, *, colored: bool) -> tuple[Recipe, 
         return (first,)
     sets = [everything, geometry] if geometry else [everything]
     sets += [tuple(sorted((*geometry, number))) for number in color]
-    several = first.neighbors if options.ratio is not None else max(first.neighbors, 2)
-    ways = ((several, "compatibility"), (first.neighbors, "ransac"))
+    ways = _thorough_ways(options)
     return tuple(dict.fromkeys((first, *(recipe(numbers, *way) for numbers in dict.fromkeys(sets) for way in ways))))
+
+
+def outside_recipes(names: tuple[str, ...], options: RegistrationOptions) -> tuple[Recipe, ...]:
+    """The recipes to try with one set of features from elsewhere, of these names: as ``recipes_of`` with one set."""
+    first = Recipe((), names, (), options.match_neighbors, options.solver.name)
+    ways = _thorough_ways(options) if options.effort == "thorough" else ()
+    return tuple(dict.fromkeys((first, *(Recipe((), names, (), *way) for way in ways))))
+
+
+def _thorough_ways(options: RegistrationOptions) -> tuple[tuple[int, str], ...]:
+    """Nearest rows that may match, and the solver, of every set of features."""
+    several = options.match_neighbors if options.ratio is not None else max(options.match_neighbors, 2)
+    return (several, "compatibility"), (options.match_neighbors, "ransac")
 
 
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:

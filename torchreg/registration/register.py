@@ -20,20 +20,21 @@ from torchreg.errors import expect
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.matching.mutual import match_mutual
 from torchreg.registration.decide import compared, look_again
-from torchreg.registration.describe import describe_thin, description_of, expect_alike
+from torchreg.registration.describe import description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
+from torchreg.registration.matchings import Matched, Matching
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
-from torchreg.registration.recipes import Recipe, fused, recipes_of
+from torchreg.registration.recipes import Recipe
 from torchreg.registration.refined import given_residuals, refined
 from torchreg.registration.rivals import rivals
 from torchreg.registration.stopwatch import stage, stopwatch
+from torchreg.registration.trained import BY_OPTIONS, Trained, by_module
 from torchreg.seeds import generator_of
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
 from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
-from torchreg.types.clouds import expect_clouds
 from torchreg.verification import WORK, ProposedPoses, proposals_of
 from torchreg.verification.given import GivenVerdict, given_poses
 from torchreg.verification.judge import judge_poses
@@ -49,6 +50,7 @@ def register(
     effort: str | None = None,
     solver: Solver | str | None = None,
     refine: str | None = None,
+    describe: Trained | None = None,
     seed: int = 0,
     max_bytes: int | None = None,
 ) -> RegistrationResult:
@@ -72,6 +74,11 @@ def register(
             ``None`` takes that of the options.
         refine: how far the poses found are refined, ``"none"``, ``"coarse"`` or ``"full"``, as in
             ``RegistrationOptions``; ``None`` takes that of the options: full where they are derived, none in ``PAPER``.
+        describe: an ``nn.Module`` (or a function) that describes clouds in place of the options' descriptors, which
+            then judge poses alone. It is called in evaluation mode, without gradients, once for every distinct cloud:
+            with ``Clouds`` of one thinned cloud with normals, and with colors where both sides have them; and, where it
+            takes a second argument, with the ``Neighborhoods`` of its points (the widest support of the options). It
+            returns features as ``register_features`` takes them: (P, D), or ``Features``.
         seed: of every random draw, any integer. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
@@ -82,8 +89,9 @@ def register(
         ``success`` false and its ``failure``; it does not affect the others. No gradients.
 
     Raises:
-        ValueError: different numbers of clouds, or options that do not fit.
-        TypeError: something else than ``Clouds``, such as a tensor.
+        TypeError: something else than ``Clouds``, such as a tensor; a ``describe`` that cannot be called, or returns
+            something else than features.
+        ValueError: different numbers of clouds, options that do not fit, or features that do not fit the points.
 
     Example:
         >>> import torchreg as tr
@@ -92,14 +100,23 @@ def register(
         >>> result.T_target_source.shape
         torch.Size([1, 4, 4])
     """
-    expect_clouds(source, "source")
-    expect_clouds(target, "target")
     with stopwatch() as seconds, undisturbed(source.points):
-        plan = Plan(source, target, options, effort=effort, solver=solver, refine=refine, max_bytes=max_bytes)
+        way = BY_OPTIONS if describe is None else by_module(describe)
+        plan = Plan(
+            source,
+            target,
+            options,
+            effort=effort,
+            solver=solver,
+            refine=refine,
+            max_bytes=max_bytes,
+            described_by=way.description,
+        )
         results = []
         for pairs in plan.slices:
-            described = plan.sides(pairs, describe_thin)
-            results.append(find_poses(*described, plan.options[pairs], colored=plan.colored, seed=seed).result)
+            sides = plan.sides(pairs, way.describe)
+            found = find_poses(*sides, plan.options[pairs], colored=plan.colored, seed=seed, matching=way.matching)
+            results.append(found.result)
     return joined(results, seconds=seconds)
 
 
@@ -153,8 +170,11 @@ def find_poses(
     colored: bool,
     seed: int,
     T_given: Tensor | None = None,
+    matching: Matching = BY_OPTIONS.matching,
 ) -> Found:
     """Match, solve and decide, for the pairs of one slice.
+
+    ``matching`` says where matches come from.
 
     ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
     then gets a verdict of its own.
@@ -165,12 +185,11 @@ def find_poses(
     drawn = base_seed(generator_of(seed))
     effort = options[0].effort
     proposed: list[ProposedPoses] = []
-    for recipe in recipes_of(options[0], colored=colored):
-        features = (fused(source, recipe, options[0]), fused(target, recipe, options[0]))
-        matches = _match(*features, recipe, options[0])
-        proposed.append(_solve(source, target, matches, recipe, options, drawn))
+    for recipe in matching.recipes(source, options[0], colored=colored):
+        matched = matching.match(source, target, recipe, options[0], _match)
+        proposed.append(_solve(source, target, matched.matches, recipe, options, drawn))
         if len(proposed) == 1 and effort in ("balanced", "thorough"):
-            proposed.append(_find_rivals(source, target, features, proposed[0], options, drawn))
+            proposed.append(_find_rivals(source, target, matched, proposed[0], options, drawn))
     competing = proposed if T_given is None else [*proposed, given_poses(source.cloud, target.cloud, T_given, refused)]
     given: tuple[GivenVerdict | None, ...] = (None,) * len(source)
     if effort == "plain":
@@ -178,7 +197,7 @@ def find_poses(
         again = {}
     else:
         judged = _decide(source, target, competing, options)
-        again = look_again(source, target, competing, judged, options, drawn)
+        again = look_again(source, target, competing, judged, options, drawn, matching.look)
         last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
         result, given = collect(source.cloud, target.cloud, last), tuple(pair.verdict.given for pair in last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
@@ -208,13 +227,13 @@ def _match(source: Features, target: Features, recipe: Recipe, options: Registra
 def _find_rivals(
     source: DescribedClouds,
     target: DescribedClouds,
-    features: tuple[Features, Features],
+    matched: Matched,
     first: ProposedPoses,
     options: Sequence[RegistrationOptions],
     seed: int,
 ) -> ProposedPoses:
     """Propose what the best poses of the first recipe leave unexplained."""
-    return rivals(source.cloud, target.cloud, features, first, options, seed)
+    return rivals(source.cloud, target.cloud, matched.near(), first, options, seed)
 
 
 @stage("hypotheses")
@@ -263,5 +282,13 @@ def _stage_counts(
 
     given = of_both(lambda side: [facts.points for facts in side.facts])
     points = of_both(lambda side: side.cloud.lengths)
-    described = of_both(lambda side: [int(valid.sum()) for valid in side.features[0].valid.split(side.cloud.lengths)])
+    described = of_both(_described_counts)
     return tuple(map(StageCounts, given, points, described, proposals))
+
+
+def _described_counts(side: DescribedClouds) -> list[int]:
+    """Of every cloud, its points with a valid feature; all of them where it is matched by none."""
+    matched_by = side.features[:1] if side.outside is None else (side.outside,)
+    if not matched_by:
+        return side.cloud.lengths
+    return [int(valid.sum()) for valid in matched_by[0].valid.split(side.cloud.lengths)]

@@ -10,6 +10,7 @@ competes with the first: in a symmetric room both fit, and the verdict says so.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -35,10 +36,18 @@ _POSES = 5  # rivals of a pair
 _EXPLAINED = 3.0  # inlier thresholds within which the first pose brings a match
 
 
+class NearMatches(NamedTuple):
+    """Matches of one pair, without asking whether they are mutual."""
+
+    source: Tensor  # (M,) int64, rows of the batch of sources
+    target: Tensor  # (M,) int64, rows of the batch of targets
+    score: Tensor  # (M,), the smaller, the better
+
+
 def rivals(
     source: Clouds,
     target: Clouds,
-    features: tuple[Features, Features],
+    near: Sequence[NearMatches],
     first: ProposedPoses,
     options: Sequence[RegistrationOptions],
     seed: int,
@@ -48,7 +57,7 @@ def rivals(
     Args:
         source: B clouds.
         target: B clouds.
-        features: those of both sides that ``first`` was matched by.
+        near: of every pair the matches that may speak for a rival, such as ``nearest_matches``.
         first: of all pairs, a pair's best pose first.
         options: one per pair.
         seed: of every random draw, as the solvers take it.
@@ -56,7 +65,7 @@ def rivals(
     colored = source.colors is not None and target.colors is not None
     parts, by_turns = [], []
     for b, option in enumerate(options):
-        i, j, score = _nearest(features, b, _SAMPLE[colored])
+        i, j, score = near[b]
         p, q = source.points[i].double(), target.points[j].double()
         if len(first.poses[b].support) > 0:
             moved = apply_rotation(first.poses[b].rotation[0], p) + first.poses[b].translation[0]
@@ -100,15 +109,20 @@ def _best(solved: PairPoses, by_turns: PairPoses | None) -> PairPoses:
     return PairPoses(rotation, translation, inliers, support, error, solved.drawn, solved.kept, solved.scored, failure)
 
 
-def _nearest(features: tuple[Features, Features], b: int, sample: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Source rows, target rows and feature distances of the matches of pair ``b``, of so many points."""
+def nearest_matches(features: tuple[Features, Features], *, colored: bool) -> list[NearMatches]:
+    """Of every pair, an even choice of source points, each matched to the nearest targets in feature space."""
+    return [_nearest(features, b, _SAMPLE[colored]) for b in range(len(features[0]))]
+
+
+def _nearest(features: tuple[Features, Features], b: int, sample: int) -> NearMatches:
+    """The matches of pair ``b``, of so many points, scored by their distances in feature space."""
     rows = []
     for side in features:
         begin, end = side.offsets[b : b + 2].tolist()
         rows.append(begin + side.valid[begin:end].nonzero()[:, 0])
     queries = rows[0][:: max(1, -(-len(rows[0]) // sample))]
     if len(queries) == 0 or len(rows[1]) == 0:
-        return queries[:0], queries[:0], features[0].values.new_zeros(0)
+        return NearMatches(queries[:0], queries[:0], features[0].values.new_zeros(0))
     row, distance = nearest_rows(features[0].values[queries], features[1].values[rows[1]], _NEAREST)
     i, j = queries[:, None].expand_as(row).flatten(), rows[1][row.flatten()]
-    return i, j, distance.flatten().to(features[0].values)
+    return NearMatches(i, j, distance.flatten().to(features[0].values))

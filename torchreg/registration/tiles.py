@@ -29,7 +29,7 @@ def reach_of(description: Description) -> float | None:
     known = [reach for reach in reaches if reach is not None]
     if len(known) < len(reaches):
         return None
-    return max(known) + description.normal_radius
+    return max(known, default=0.0) + description.normal_radius
 
 
 def tiles_of(cloud: Clouds, reach: float, most: int) -> list[Tile]:

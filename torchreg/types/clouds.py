@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.errors import describe, expect, expect_shape
+from torchreg.errors import expect, expect_shape
 from torchreg.types.held import Offsets, PerItem, PerRow, held
 from torchreg.types.packing import checked_offsets, offsets_of, spans
 from torchreg.types.padded import PaddedClouds, checked_lengths, pad, unpad
@@ -191,23 +191,16 @@ class Clouds(PackedBatch):
             where(self.points),
         )
 
+    @staticmethod
+    def _made_of(value: object) -> str:
+        """How clouds are made of what came in their place, for messages."""
+        return next((text for kind, text in _MADE_OF if isinstance(value, kind)), "read_cloud(path)")
+
     def _has_viewpoint(self) -> Tensor:
         """Whether each cloud has a viewpoint, known or assumed: (B,) bool."""
         if self.viewpoint is None:
             return torch.zeros(len(self), dtype=torch.bool, device=self.device)
         return self.viewpoint.isfinite().all(dim=1)
-
-
-def expect_clouds(value: object, name: str) -> None:
-    """Check that an argument is ``Clouds``; the message says how they are made of what came.
-
-    Raises:
-        TypeError: anything else.
-    """
-    if not isinstance(value, Clouds):
-        made = next((text for kind, text in _MADE_OF if isinstance(value, kind)), "read_cloud(path)")
-        came = f"a tensor {describe(value)}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
-        raise TypeError(f"{name}: expected Clouds, such as {made}, got {came}")
 
 
 _MADE_OF: tuple[tuple[Any, str], ...] = (

@@ -26,9 +26,9 @@ def field_study(data: Path, options: ComparisonOptions = EVERYTHING) -> Study:
     """
     return comparison_study(
         "field",
-        [_true_pair(pair) for pair in read_real_pairs(data)],
+        [true_pair(pair) for pair in read_real_pairs(data)],
         options,
-        {"pairs": hashlib.sha256((data / LIST if data.is_dir() else data).read_bytes()).hexdigest()[:16]},
+        {"pairs": list_digest(data)},
         title="The field on real pairs",
         caption=lambda _: CAPTION,
         tables=tables,
@@ -38,7 +38,13 @@ def field_study(data: Path, options: ComparisonOptions = EVERYTHING) -> Study:
     )
 
 
-def _true_pair(pair: RealPair) -> TruePair:
+def list_digest(data: Path) -> str:
+    """Digits that name the content of a list of pairs: rows of another list are not taken for these."""
+    return hashlib.sha256((data / LIST if data.is_dir() else data).read_bytes()).hexdigest()[:16]
+
+
+def true_pair(pair: RealPair) -> TruePair:
+    """A pair of a list, to be measured by bounds that follow its voxels."""
     return TruePair(
         name=pair.name,
         facts={"scene": pair.scene, "overlap": pair.overlap},

@@ -56,6 +56,7 @@ class ComparisonOptions:
     """Which methods are compared on which pairs, and how they run."""
 
     methods: Sequence[str] | None = None  # their names; ``None`` takes all
+    more: Sequence[Method] = ()  # further ones, before these
     scenes: Sequence[str] | None = None  # whose pairs are taken; ``None`` takes all
     quick: bool = False  # one pair of every scene alone; slow methods only where they are named
     device: str = "cpu"  # where torchreg computes
@@ -96,7 +97,7 @@ def comparison_study(
     Raises:
         ValueError: a name that no method or no scene has.
     """
-    chosen = chosen_methods(options.methods, quick=options.quick)
+    chosen = (*options.more, *chosen_methods(options.methods, quick=options.quick))
     pairs = _chosen_pairs(listed, options, rank)
     gaps = {method.name: why for method in chosen if (why := method.gap())}
     comparison = MethodComparison((), chosen, gaps, options.seed)

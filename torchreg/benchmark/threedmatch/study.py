@@ -16,7 +16,12 @@ from torchreg.types import Clouds
 
 
 def fragments_study(
-    folder: Path, options: ComparisonOptions = EVERYTHING, *, log: Path | None = None, voxel: float = 0.05
+    folder: Path,
+    options: ComparisonOptions = EVERYTHING,
+    *,
+    log: Path | None = None,
+    voxel: float = 0.05,
+    name: str = "3dmatch",
 ) -> Study:
     """The study of methods on scenes of fragments; a quick run takes the first pair that registration recall counts.
 
@@ -25,6 +30,7 @@ def fragments_study(
         options: what is compared.
         log: which log, as ``Fragments`` takes it.
         voxel: meters, what all clouds are averaged over.
+        name: of the files.
 
     Raises:
         CloudFileError: what ``Fragments`` refuses.
@@ -32,7 +38,7 @@ def fragments_study(
     """
     dataset = Fragments(folder, log=log)
     return comparison_study(
-        "3dmatch",
+        name,
         [_true_pair(dataset, k, voxel) for k in range(len(dataset.names))],
         options,
         {
