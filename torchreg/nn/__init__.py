@@ -3,6 +3,7 @@
 from torchreg.nn.descriptors import FPFH, PCFH, BinEdges
 from torchreg.nn.equalize import Equalize, PairValues
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
+from torchreg.nn.point_network import PointNetwork
 from torchreg.nn.register import Register, SoftRegistration
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Equalize",
     "Fuse",
     "PairValues",
+    "PointNetwork",
     "Register",
     "SoftMatch",
     "SoftRegistration",
