@@ -1,8 +1,8 @@
 """What features are worth on pairs that they were not trained on: mutual matches under the true motion, no solver.
 
 A pair is judged as it is registered: averaged over its voxels v, normals 2 v / 30, supports 5 v / 100. A match is an
-inlier where the true motion brings its points nearer than 2 v; feature-match recall is the share of pairs with more than
-5 % inliers.
+inlier where the true motion brings its points nearer than 2 v. Feature-match recall is the share of pairs with more
+than 5 % inliers.
 """
 
 from __future__ import annotations

@@ -48,11 +48,11 @@ class NetworkTrainingOptions:
     """
 
     steps: int = 3000
-    points: int = 2500
+    points: int = 1200
     anchors: int = 1024
-    rate: float = 2e-3
+    rate: float = 1.5e-3
     decay: float = 1e-2
-    temperature: float = 0.07
+    temperature: float = 0.05
     partner_voxels: float = 1.0
     seed: int = 0
 

@@ -25,7 +25,6 @@ from torchreg.types.scan_pair import ScanPair
 NORMAL_VOXELS, NORMAL_NEIGHBORS = 2.0, 30
 SUPPORT_VOXELS, SUPPORT_NEIGHBORS = 5.0, 100
 _BASE_VOXELS = 0.6  # of the pair, to which scans are thinned once
-_BASE_POINTS = 3  # points of such a scan for one of a view, about
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +95,12 @@ def random_view(posed: PosedPair, seed: int, *, points: int, partner_voxels: flo
     """
     draw = generator_of(derived_seed(seed, "view"))
     voxel = posed.voxel * uniform(0.85, 1.3, draw)
-    pair = _cropped(posed.pair, 2 * posed.voxel, _BASE_POINTS * points, draw)
+    pair = _cropped(posed.pair, posed.voxel, points, draw)
     change = Compose(
         RandomMotion(),
-        RandomThin(keep=(0.5, 1.0), probability=0.5),
-        Jitter(sigma=uniform(0.0, 0.25, draw) * posed.voxel),
-        Illumination(probability=0.7),
+        RandomThin(keep=(0.5, 1.0), probability=0.3),
+        Jitter(sigma=uniform(0.0, 0.15, draw) * posed.voxel),
+        Illumination(white_balance=0.2, exposure=0.5, gamma=1.2, hue=0.02, probability=0.5),
     )
     pair = AugmentPair(change, generator=draw)(pair)
     if uniform(0.0, 1.0, draw) < 0.2:
@@ -122,22 +121,23 @@ def _side(cloud: Clouds, voxel: float) -> DescribedSide:
     return DescribedSide(estimate_normals(cloud, near.restrict(NORMAL_VOXELS * voxel, NORMAL_NEIGHBORS)), near)
 
 
-def _cropped(pair: ScanPair, reach: float, count: int, draw: torch.Generator) -> ScanPair:
-    """The points of both scans nearest to one place that both see, where there is one."""
+def _cropped(pair: ScanPair, voxel: float, count: int, draw: torch.Generator) -> ScanPair:
+    """The points of both scans nearest to one place that both see, where there is one: so many once averaged."""
     partner = nearest(_moved(pair, pair.source), _placed(pair.target))
-    shared = (partner.sq_distance < reach * reach).nonzero()[:, 0]
+    shared = (partner.sq_distance < (2 * voxel) ** 2).nonzero()[:, 0]
     if len(shared) == 0:
         return pair
     row = shared[int(torch.randint(len(shared), (1,), generator=draw))]
-    source, target = _around(pair.source, row, count), _around(pair.target, partner.index[row], count)
+    source, target = _around(pair.source, row, voxel, count), _around(pair.target, partner.index[row], voxel, count)
     return replace(pair, source=source, target=target, information=None)
 
 
-def _around(cloud: Clouds, row: Tensor, count: int) -> Clouds:
-    if len(cloud.points) <= count:
+def _around(cloud: Clouds, row: Tensor, voxel: float, count: int) -> Clouds:
+    averaged = len(voxel_downsample(cloud, voxel).points)
+    if averaged <= count:
         return cloud
     distance = (cloud.points - cloud.points[row]).square().sum(dim=1)
-    rows = distance.argsort(stable=True)[:count].sort().values
+    rows = distance.argsort(stable=True)[: count * len(distance) // averaged].sort().values
     return cloud.rows(rows, offsets_of([len(rows)]))
 
 

@@ -4,7 +4,8 @@ Every layer sends a message from each neighbor j to its point i and keeps the la
 
     m_ij = relu(A h_j + B h_i + C e_ij + b),   h_i <- norm(h_i + mlp(max_j m_ij, mean_j m_ij))
 
-with e_ij the cues of the pair (``nn.cues``) and h_i at first a projection of the cues of the point: an edge
+with e_ij the cues of the pair (``nn.cues``) and h_i at first a projection of the cues of the point. The feature is a
+function of h_i before, between and after the layers: what one sees near and what one sees far. This is an edge
 convolution (Wang et al., DGCNN, 2019, doi:10.1145/3326362) whose edges know shape and color by numbers that do not
 turn with the cloud, as in PPFNet (Deng et al., CVPR 2018, doi:10.1109/CVPR.2018.00028). So the features are invariant
 to rigid motion by construction, not by training on turned clouds. Local frames were left: on flat surfaces, of which
@@ -35,7 +36,7 @@ _CHUNK = 1 << 21  # elements of a (rows, K, width) temporary
 
 
 class PointNetwork(nn.Module):
-    """Features of points from the geometry and the color of their neighborhoods; 143,712 weights by default.
+    """Features of points from the geometry and the color of their neighborhoods; 188,896 weights by default.
 
     Args:
         features: D, columns of the result.
@@ -68,7 +69,7 @@ class PointNetwork(nn.Module):
         self.stride = at_least(stride, "stride", 1)
         self.enter = _mlp(POINT_CUES, 2 * width, width)
         self.layers = nn.ModuleList(_Messages(width, hidden) for _ in range(at_least(layers, "layers", 1)))
-        self.leave = _mlp(width, 2 * width, features)
+        self.leave = _mlp((layers + 1) * width, 4 * width, features)
 
     def sizes(self) -> dict[str, int]:
         """The arguments that make a network of these sizes: ``PointNetwork(**network.sizes())``."""
@@ -108,10 +109,10 @@ class PointNetwork(nn.Module):
         index, valid = near.index[:, :: self.stride], near.valid[:, :: self.stride]
         dtype = next(self.parameters()).dtype
         pairs = pair_cues(cloud, cues.color, index, near.radius).to(dtype)
-        rows = self.enter(cues.rows.to(dtype))
+        levels = [self.enter(cues.rows.to(dtype))]
         for layer in self.layers:
-            rows = layer(rows, pairs, index, valid)
-        unit = torch.nn.functional.normalize(self.leave(rows), dim=1, eps=1e-6)
+            levels.append(layer(levels[-1], pairs, index, valid))
+        unit = torch.nn.functional.normalize(self.leave(torch.cat(levels, dim=1)), dim=1, eps=1e-6)
         values = torch.where(cues.described[:, None], unit, 0).to(cloud.points.dtype)
         return Features(values, cloud.offsets, ((BLOCK, self.features),), cues.described)
 
