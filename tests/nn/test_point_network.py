@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 from closeness import close
-from problems import garbage_in_invalid_slots, oriented_room, random_transform, seeded, sphere_cloud
+from problems import garbage_in_invalid_slots, oriented_room, random_transform, room_pair, seeded, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
 from torchreg.learning.network_training import drawn_network
-from torchreg.nn import PointNetwork
+from torchreg.nn import NetworkBlock, PointNetwork
 
 CLOUD = sphere_cloud(120)
 NEAR = tr.neighbors(CLOUD, 0.8, 30)
@@ -159,3 +159,31 @@ def test_what_does_not_fit_is_refused(network):
     for name in ("features", "width", "hidden", "layers", "stride"):
         with refuses(name, "0"):
             PointNetwork(**{name: 0})
+
+
+def test_as_a_block_it_registers_beside_the_defaults():
+    room = room_pair(3000, seed=1)
+    spacing = float(tr.spacing(room.source))
+    options = tr.options_for(spacing)
+    block = NetworkBlock(network=drawn_network(0), radius=5 * spacing)
+    options = replace(options, descriptors=(*options.descriptors, block), weights=(*options.weights, 1.0))
+    result = tr.register(room.source, room.target, options)
+    assert bool(result.success[0])
+    assert float(tr.metrics.rre(room.T_target_source, result.T_target_source)) < 3
+    assert options.scaled(2.0).descriptors[-1] == replace(block, radius=10 * spacing)
+
+
+def test_a_block_states_how_far_it_sees():
+    """Within the reach a point moves a row, beyond it none."""
+    block = NetworkBlock(network=drawn_network(0).double(), radius=0.3)
+    line = torch.linspace(0, 6, 400, dtype=torch.float64)
+    points = torch.stack([line, 0.1 * torch.sin(9 * line), 0.1 * torch.cos(7 * line)], dim=1)
+    normals = torch.nn.functional.normalize(torch.rand(400, 3, generator=seeded(0), dtype=torch.float64), dim=1)
+    cloud = tr.Clouds(points=points, normals=normals)
+    turned = replace(cloud, normals=torch.cat([normals[:-1], -normals[-1:]]))
+    rows = [block.describe(each, tr.neighbors(each, 0.3, 100)).values for each in (cloud, turned)]
+    changed = (rows[0] - rows[1]).abs().amax(dim=1) > 0
+    away = (points[-1] - points).norm(dim=1)
+    assert block.reach == pytest.approx(1.2)
+    assert away[changed].max() < block.reach
+    assert away[changed].max() > 0.6 * block.reach

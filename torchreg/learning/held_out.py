@@ -101,9 +101,9 @@ def by_group(qualities: Sequence[MatchQuality]) -> list[GroupQuality]:
 def baselines() -> dict[str, Describe]:
     """What ships: FPFH, the default's features, and those of ``torchreg.LEARNED``; without colors, geometry alone."""
     return {
-        "fpfh": lambda side, voxel: _features(side, options_for(voxel, colored=False)),
-        "default": lambda side, voxel: _features(side, options_for(voxel)),
-        "LEARNED": lambda side, voxel: _features(side, LEARNED.scaled(voxel)),
+        "fpfh": lambda side, voxel: described_by(side, options_for(voxel, colored=False)),
+        "default": lambda side, voxel: described_by(side, options_for(voxel)),
+        "LEARNED": lambda side, voxel: described_by(side, LEARNED.scaled(voxel)),
     }
 
 
@@ -118,11 +118,11 @@ def _alone(network: nn.Module, side: DescribedSide, voxel: float) -> Features:
 
 
 def _beside(network: nn.Module, weight: float, side: DescribedSide, voxel: float) -> Features:
-    default = _features(side, options_for(voxel))
+    default = described_by(side, options_for(voxel))
     return fuse(default, _alone(network, side, voxel), weights=(1.0, weight))
 
 
-def _features(side: DescribedSide, options: RegistrationOptions) -> Features:
+def described_by(side: DescribedSide, options: RegistrationOptions) -> Features:
     """The fused features of these options, without descriptors that need colors where there are none."""
     options = options if side.cloud.colors is not None else options.without_color()
     blocks = [

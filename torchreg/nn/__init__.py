@@ -3,6 +3,7 @@
 from torchreg.nn.descriptors import FPFH, PCFH, BinEdges
 from torchreg.nn.equalize import Equalize, PairValues
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
+from torchreg.nn.network_block import NetworkBlock
 from torchreg.nn.point_network import PointNetwork
 from torchreg.nn.register import Register, SoftRegistration
 
@@ -12,6 +13,7 @@ __all__ = [
     "BinEdges",
     "Equalize",
     "Fuse",
+    "NetworkBlock",
     "PairValues",
     "PointNetwork",
     "Register",
