@@ -14,6 +14,7 @@ from problems import correspondence_problem, room_pair
 from torch import Tensor
 
 import torchreg as tr
+from torchreg.learning.network_training import drawn_network
 from torchreg.neighborhoods.point_index import nearest
 from torchreg.nn import FPFH, PCFH, Register
 from torchreg.preprocess.orientation import orient_along_surfaces
@@ -198,6 +199,9 @@ STAGES: dict[str, Stage] = {
     "soft descriptors and their gradients": Stage(run=_soft_descriptors, transfers=8, atol=1e-3),
     "dual softmax and its gradient": Stage(run=partial(_soft_match, "dual_softmax"), transfers=0, atol=1e-5),
     "sinkhorn and its gradient": Stage(run=partial(_soft_match, "sinkhorn"), transfers=0, atol=1e-5),
+    "nn.PointNetwork": Stage(
+        run=lambda g: drawn_network(0).to(g.near.index.device)(g.oriented, g.near), transfers=3, atol=1e-4, share=0.02
+    ),
     "nn.Register": Stage(run=_module, transfers=150, atol=1e-3),
 }
 

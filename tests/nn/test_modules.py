@@ -46,6 +46,7 @@ MODULES = {
     "WeightedKabsch": lambda: (tr.nn.WeightedKabsch(), (CLOUD, OTHER, MATCHES)),
     "WeightedKabsch in rounds": lambda: (tr.nn.WeightedKabsch(rounds=2, scale=0.3), (CLOUD, OTHER, MATCHES)),
     "Register": lambda: (tr.nn.Register(), (CLOUD, OTHER)),
+    "PointNetwork": lambda: (tr.nn.PointNetwork(), (CLOUD, NEAR)),
 }
 every_module = pytest.mark.parametrize("name", MODULES)
 

@@ -15,6 +15,7 @@ from torchreg.cli.guard import GuardedGroup
 from torchreg.cli.info import info
 from torchreg.cli.register import register
 from torchreg.cli.site import site
+from torchreg.cli.train import train
 from torchreg.cli.verify import verify
 from torchreg.version import __version__
 
@@ -33,6 +34,7 @@ app.command()(check)
 app.command()(info)
 app.command()(convert)
 app.command()(demo)
+app.command()(train)
 app.add_typer(bench, name="bench")
 
 

@@ -36,6 +36,8 @@ _WORDS = {
     "register": ("registering", "pairs"),
     "place": ("placing", "scans"),
     "refine": ("refining", "pairs"),
+    "train": ("training", "steps"),
+    "judge": ("judging", "pairs"),
 }
 
 WorkProgress = BatchProgress | SiteProgress

@@ -9,6 +9,7 @@ Example:
 from torchreg.datasets.cloud_files import CloudFiles, CloudReader
 from torchreg.datasets.fragments import Fragments
 from torchreg.datasets.scan_pairs import ScanPairs
+from torchreg.datasets.training_places import simulated_pairs
 from torchreg.synthetic import MatchProblem, SimulatedSite, building, mall, match_problem, road
 from torchreg.types.scan_pair import ScanPair, ScanPairBatch, pack_pairs
 
@@ -26,4 +27,5 @@ __all__ = [
     "match_problem",
     "pack_pairs",
     "road",
+    "simulated_pairs",
 ]

@@ -1,7 +1,10 @@
-"""Training of what the paper sets by hand: losses, differentiable hypotheses, and the weights of the color block."""
+"""Training of what the paper sets by hand: losses, differentiable hypotheses, the color block's weights, a network."""
 
 from torchreg.learning.correspondence_losses import circle_loss, info_nce, inlier_probability_loss, true_distances
+from torchreg.learning.held_out import GroupQuality, MatchQuality, baselines, by_group, match_quality, network_features
+from torchreg.learning.network_training import NetworkTraining, NetworkTrainingOptions, load_network
 from torchreg.learning.pose_losses import PoseLoss, pose_loss
+from torchreg.learning.posed_pairs import PosedPair
 from torchreg.learning.prepared import PreparedCloud, PreparedPair, prepare_cloud, prepare_pair
 from torchreg.learning.sampling import Samples, draw_samples, score_function_loss
 from torchreg.learning.soft_selection import (
@@ -15,12 +18,19 @@ from torchreg.learning.training import TrainingOptions, describe_with, train_col
 
 __all__ = [
     "DrawnHypothesis",
+    "GroupQuality",
+    "MatchQuality",
+    "NetworkTraining",
+    "NetworkTrainingOptions",
     "PoseLoss",
+    "PosedPair",
     "PreparedCloud",
     "PreparedPair",
     "Samples",
     "SoftSelection",
     "TrainingOptions",
+    "baselines",
+    "by_group",
     "circle_loss",
     "describe_with",
     "draw_hypothesis",
@@ -28,6 +38,9 @@ __all__ = [
     "expected_loss",
     "info_nce",
     "inlier_probability_loss",
+    "load_network",
+    "match_quality",
+    "network_features",
     "pose_loss",
     "prepare_cloud",
     "prepare_pair",

@@ -3,6 +3,8 @@
 from torchreg.nn.descriptors import FPFH, PCFH, BinEdges
 from torchreg.nn.equalize import Equalize, PairValues
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
+from torchreg.nn.network_block import NetworkBlock
+from torchreg.nn.point_network import PointNetwork
 from torchreg.nn.register import Register, SoftRegistration
 
 __all__ = [
@@ -11,7 +13,9 @@ __all__ = [
     "BinEdges",
     "Equalize",
     "Fuse",
+    "NetworkBlock",
     "PairValues",
+    "PointNetwork",
     "Register",
     "SoftMatch",
     "SoftRegistration",
