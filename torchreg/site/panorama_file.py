@@ -11,6 +11,8 @@ import torch
 from torchreg.batch.checked_file import read_checked, write_checked
 from torchreg.site.panorama import Panorama
 
+_FORMAT = 1
+
 
 class KeptPanorama(NamedTuple):
     """What is kept of a scan: ``None`` where the place of its scanner is not known."""
@@ -30,14 +32,16 @@ def write_panorama(path: Path, panorama: Panorama | None) -> None:
         OSError: it cannot be written.
     """
     buffer = io.BytesIO()
-    torch.save(None if panorama is None else tuple(panorama), buffer)
+    torch.save((_FORMAT, None if panorama is None else tuple(panorama)), buffer)
     write_checked(path, buffer.getvalue())
 
 
 def read_panorama(path: Path) -> KeptPanorama | None:
-    """What was kept; ``None`` where the file is missing or damaged."""
+    """What was kept; ``None`` where the file is missing, damaged or of another format."""
     body = read_checked(path)
     if body is None:
         return None
-    content = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    found, content = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    if found != _FORMAT:
+        return None
     return KeptPanorama(None if content is None else Panorama(*content))
