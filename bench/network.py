@@ -2,10 +2,10 @@
 
     torchreg train --pairs REAL --pairs HARD --hold-out SCENES --out A        some scenes held out
     torchreg train --pairs REAL --pairs HARD --hold-out THE_OTHERS --out B    and the others
-    python bench/network.py A B [--recall]
+    python bench/network.py A B [--recall] [--per-scene 3]
 
 Every listed pair is judged by the network of the folder that held its scene out. Beside the features of ``torchreg
-train`` stand two controls: a network as it is drawn, untrained, and the default's features moved to square roots.
+train`` stand controls: a network as it is drawn, untrained, and the default's features moved to square roots.
 Inlier ratio: share of the mutual matches nearer than 2 voxels under the truth; matched: pairs where that is above 0.05.
 Found, with --recall: ``register`` at the voxels of the list, by its default and with the network as another block of
 weight 1, ends within 15 degrees and 6 voxels of the truth; it is sure where it calls that a success. Measurements are
@@ -27,14 +27,15 @@ from common import bench_parser, in_words, machine, publish, save, table
 
 import torchreg as tr
 from torchreg.benchmark.core.bootstrap import bootstrap
+from torchreg.benchmark.core.real_pairs import RealPair
 from torchreg.benchmark.core.rows import Rows
 from torchreg.cli.training_data import training_data
-from torchreg.learning.held_out import Describe, baselines, described_by, match_quality, network_features
+from torchreg.learning.held_out import Describe, baselines, described_by, match_quality, network_features, with_network
 from torchreg.learning.network_training import drawn_network, load_network
 from torchreg.learning.posed_pairs import PosedPair
 from torchreg.metrics import rre, rte
 
-BASE = "default"
+BASE, ROOTED = "default", "default, square roots"
 ROTATION, TRANSLATION_VOXELS = 15.0, 6.0
 HEAD = [
     "held-out scenes",
@@ -53,18 +54,28 @@ def methods_of(network: tr.nn.PointNetwork) -> dict[str, Describe]:
     drawn = network_features(drawn_network(0))
     return {
         **baselines(),
-        "default, square roots": lambda side, voxel: described_by(side, replace(tr.options_for(voxel), root=1.0)),
+        ROOTED: lambda side, voxel: described_by(side, rooted(voxel)),
         "untrained": drawn["network"],
         "default + untrained": drawn["default + network"],
         **network_features(network),
+        f"{ROOTED} + network": lambda side, voxel: described_by(side, with_network(rooted(voxel), network, voxel)),
     }
 
 
-def measured(folder: Path, *, recall: bool) -> list[dict[str, Any]]:
-    """Rows of every held-out pair of a run and all features, and with ``recall`` of both options."""
+def rooted(voxel: float) -> tr.RegistrationOptions:
+    """The default's options with all histograms moved to square roots; ``voxel`` in meters."""
+    return replace(tr.options_for(voxel), root=1.0)
+
+
+def measured(folder: Path, *, recall: bool, per_scene: int | None) -> list[dict[str, Any]]:
+    """Rows of the held-out pairs of a run and all features, and with ``recall`` of both options.
+
+    With ``per_scene`` so many pairs of every listed scene, spread evenly over its list.
+    """
     state = torch.load(folder / "checkpoint.pt", weights_only=True)
     run = state["run"]
     data = training_data(run["places"], [Path(path) for path in run["pairs"]], run["held_out"])
+    data = replace(data, held_out=spread_evenly(data.held_out, per_scene))
     network = load_network(folder / "weights.pt")
     kept = Rows(folder, {"study": "network", "step": state["training"]["done"]})
     methods = methods_of(network)
@@ -81,6 +92,16 @@ def measured(folder: Path, *, recall: bool) -> list[dict[str, Any]]:
     return rows
 
 
+def spread_evenly(pairs: Sequence[RealPair], most: int | None) -> tuple[RealPair, ...]:
+    """At most so many pairs of every scene; ``None``: all."""
+    chosen: list[RealPair] = []
+    for scene in dict.fromkeys(pair.scene for pair in pairs):
+        of_scene = [pair for pair in pairs if pair.scene == scene]
+        count = len(of_scene) if most is None else min(most, len(of_scene))
+        chosen += [of_scene[place * len(of_scene) // count] for place in range(count)]
+    return tuple(chosen)
+
+
 def _kept(kept: Rows, key: str, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     if key not in kept:
         kept.add({"key": key, **measure()})
@@ -95,8 +116,7 @@ def _found(name: str, network: tr.nn.PointNetwork | None, posed: PosedPair) -> d
     pair, voxel = posed.pair, posed.voxel
     options = tr.options_for(voxel, colored=pair.source.colors is not None, voxel_size=voxel)
     if network is not None:
-        block = tr.nn.NetworkBlock(network=network, radius=5 * voxel)
-        options = replace(options, descriptors=(*options.descriptors, block), weights=(*options.weights, 1.0))
+        options = with_network(options, network, voxel)
     result = tr.register(pair.source, pair.target, options)
     truth = pair.T_target_source[None]
     turned, moved = float(rre(truth, result.T_target_source)), float(rte(truth, result.T_target_source))
@@ -149,8 +169,10 @@ def main() -> None:
     parser = bench_parser(__doc__)
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="of torchreg train")
     parser.add_argument("--recall", action="store_true", help="also register every pair, both ways")
+    parser.add_argument("--per-scene", type=int, metavar="COUNT", help="so many pairs of every scene, spread evenly")
     arguments = parser.parse_args()
-    rows = {row["key"]: row for folder in arguments.folders for row in measured(folder, recall=arguments.recall)}
+    options = {"recall": arguments.recall, "per_scene": arguments.per_scene}
+    rows = {row["key"]: row for folder in arguments.folders for row in measured(folder, **options)}
     matches = [row for row in rows.values() if row["kind"] == "matches"]
     found = [row for row in rows.values() if row["kind"] == "register"]
     text = "\n\n".join([match_table(matches), *([recall_table(found)] if found else [])])

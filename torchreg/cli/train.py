@@ -95,8 +95,8 @@ def train(
     two voxels, how many are, and the share of pairs with more than 5 % right (feature-match recall), by group. The log
     has the first of these for one held-out pair of every group. Lengths are those of every pair's voxels.
 
-    The defaults take about an hour of one core. Exit code 0: trained and judged. 2: bad usage, or a file that cannot
-    be read.
+    The defaults take about half an hour of one core. Exit code 0: trained and judged. 2: bad usage, or a file that
+    cannot be read.
     """
     fits = out.is_dir() or (not out.exists() and out.absolute().parent.is_dir())
     expect(fits, "--out", "a folder, or a name for one in a folder that exists", str(out))

@@ -8,17 +8,17 @@ than 5 % inliers.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
 import torch
-from torch import nn
 
-from torchreg.descriptors.fuse import fuse
-from torchreg.learning.posed_pairs import DescribedSide, PosedPair, whole_view
+from torchreg.learning.posed_pairs import SUPPORT_VOXELS, DescribedSide, PosedPair, whole_view
 from torchreg.matching import match_mutual
 from torchreg.metrics import feature_match_recall, inlier_ratio
+from torchreg.nn.network_block import NetworkBlock
+from torchreg.nn.point_network import PointNetwork
 from torchreg.registration.options import LEARNED, RegistrationOptions
 from torchreg.registration.recipes import fused_blocks
 from torchreg.registration.spacing import options_for
@@ -107,19 +107,26 @@ def baselines() -> dict[str, Describe]:
     }
 
 
-def network_features(network: nn.Module, *, weight: float = 1.0) -> dict[str, Describe]:
+def network_features(network: PointNetwork, *, weight: float = 1.0) -> dict[str, Describe]:
     """The features of a network alone, and as a block beside the default's with a weight."""
     return {"network": partial(_alone, network), "default + network": partial(_beside, network, weight)}
 
 
-def _alone(network: nn.Module, side: DescribedSide, voxel: float) -> Features:
+def _alone(network: PointNetwork, side: DescribedSide, voxel: float) -> Features:
     features: Features = network(side.cloud, side.near)
     return features
 
 
-def _beside(network: nn.Module, weight: float, side: DescribedSide, voxel: float) -> Features:
-    default = described_by(side, options_for(voxel))
-    return fuse(default, _alone(network, side, voxel), weights=(1.0, weight))
+def _beside(network: PointNetwork, weight: float, side: DescribedSide, voxel: float) -> Features:
+    return described_by(side, with_network(options_for(voxel), network, voxel, weight=weight))
+
+
+def with_network(
+    options: RegistrationOptions, network: PointNetwork, voxel: float, *, weight: float = 1.0
+) -> RegistrationOptions:
+    """The options with a network as another block, on supports of 5 voxels; ``voxel`` in meters."""
+    block = NetworkBlock(network=network, radius=SUPPORT_VOXELS * voxel)
+    return replace(options, descriptors=(*options.descriptors, block), weights=(*options.weights, weight))
 
 
 def described_by(side: DescribedSide, options: RegistrationOptions) -> Features:
