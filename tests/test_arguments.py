@@ -20,7 +20,7 @@ from torchreg.errors import LARGEST_NUMBER, ArgumentTypeError, at_least, finite,
 from torchreg.refinement import IcpLevel
 
 NAMESPACES = (tr, tr.nn, tr.synthetic, tr.augment, tr.metrics, tr.batch, tr.learning, tr.datasets, tr.io, tr.site)
-OTHERS = {"Clouds", "Descriptor", "native_library"}  # checks of its own; abstract; no argument
+OTHERS = {"Clouds", "Descriptor", "native_library", "baselines"}  # checks of its own; abstract; no argument
 WRONG: tuple[Any, ...] = (object(), None, "text", 2.5, 3, True, torch.zeros(2), [object()], {}, sphere_cloud(5))
 CLOUD = sphere_cloud(60)
 NEAR = tr.neighbors(CLOUD, 1.0, 12)

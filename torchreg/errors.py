@@ -6,6 +6,7 @@ from dataclasses import is_dataclass
 from numbers import Integral, Real
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -44,6 +45,8 @@ def described_with_type(value: object) -> str:
         return f"a tensor {describe(value)}"
     if is_dataclass(value):
         return type(value).__name__
+    if isinstance(value, np.ndarray):
+        return f"an array {value.shape} {value.dtype}"
     return describe(value) if value is None or isinstance(value, str) else f"{describe(value)} ({type(value).__name__})"
 
 

@@ -120,7 +120,7 @@ BAD_WORDS = {
     "voxel nan": (["register", "a.ply", "b.ply", "--voxel", "nan"], "--voxel: expected"),
     "confidence": (["register", "a.ply", "b.ply", "--confidence", "2"], "confidence"),
     "points": (["register", "a.ply", "b.ply", "--points", "0"], "--points"),
-    "seed": (["register", "a.ply", "b.ply", "--seed", "-3"], "--seed"),
+    "seed": (["register", "a.ply", "b.ply", "--seed", "2.5"], "--seed"),
     "viewpoint": (["register", "a.ply", "b.ply", "--viewpoint", "1,2"], "--viewpoint"),
     "figure": (["register", "a.ply", "b.ply", "--figure", "p.gif"], "--figure"),
     "matches": (["register", "a.ply", "b.ply", "--matches", "m.bmp"], "--matches"),

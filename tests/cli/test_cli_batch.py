@@ -95,7 +95,7 @@ def test_seeds_have_one_rule_with_points_and_without(batch, project, tmp_path, p
         assert "--seed" in refused.stderr
         refused = batch(write_table(tmp_path / "seeds.csv", [{**pair, "seed": seed}]), *points, out="no")
         assert refused.exit_code == 2
-        assert "line 2: seed: expected a whole number" in refused.stderr.replace("\n", "")
+        assert "line 2, column seed: expected a whole number" in refused.stderr.replace("\n", "")
     assert not (tmp_path / "no").exists()
 
 

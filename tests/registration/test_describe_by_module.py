@@ -123,5 +123,5 @@ def test_answers_that_are_no_features_are_refused_by_name(room):
             tr.register(*pair[:2], options, describe=answer)
     with pytest.raises(TypeError, match=r"describe: expected a tensor \(P, D\), Features .* got tuple"):
         tr.register(*pair[:2], options, describe=lambda cloud: (cloud.points,))
-    with pytest.raises(TypeError, match="describe: expected a module that takes a cloud, got int"):
+    with pytest.raises(TypeError, match="describe: expected a function or None, got 3"):
         tr.register(*pair[:2], options, describe=3)

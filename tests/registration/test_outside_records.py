@@ -118,9 +118,9 @@ def test_a_record_without_its_function_or_a_wrong_answer_is_refused_by_name():
     pair = room_pair(300)
     with refuses("Short.describe", "Features"):
         tr.register(pair.source, pair.target, options_with(0.1, Short(radius=0.5)))
-    with pytest.raises(TypeError, match="descriptors: expected records"):
+    with pytest.raises(TypeError, match="descriptors: expected a sequence of Descriptor"):
         tr.RegistrationOptions(descriptors=("fpfh",))
-    with pytest.raises(TypeError, match="solver: expected a record"):
+    with pytest.raises(TypeError, match="solver: expected Solver"):
         tr.RegistrationOptions(solver=3)
     with pytest.raises(TypeError, match="no option 'collor'"):
         tr.RegistrationOptions(collor=())

@@ -266,9 +266,9 @@ def test_features_that_do_not_fit_are_refused_by_name(room, which):
 
 def test_arguments_of_another_type_are_refused_by_name(room):
     _, options, (source, f), (target, g) = room
-    with pytest.raises(TypeError, match="source: expected Clouds, got Tensor"):
+    with pytest.raises(TypeError, match=r"source: expected Clouds, such as .* got a tensor"):
         tr.register_features(source.points, target, f, g, options)
-    with pytest.raises(TypeError, match=r"g: expected a tensor \(P, D\), Features or KeypointFeatures, got list"):
+    with pytest.raises(TypeError, match=r"^g: expected .+ got "):
         tr.register_features(source, target, f, g.values.tolist(), options)
     with refuses("target", "1 clouds"):
         tr.register_features(source, tr.Clouds.pack([target, target]), f, g, options)
@@ -365,7 +365,7 @@ def test_matches_that_do_not_fit_are_refused_by_name(room):
     ):
         with refuses(*parts):
             tr.register_matches(source, target, wrong, options)
-    with pytest.raises(TypeError, match="matches: expected index pairs"):
+    with pytest.raises(TypeError, match=r"^matches: expected a tensor or Correspondences or .+, got 3"):
         tr.register_matches(source, target, 3, options)
-    with pytest.raises(TypeError, match="target: expected Clouds, got NoneType"):
+    with pytest.raises(TypeError, match=r"target: expected Clouds, such as .* got None"):
         tr.register_matches(source, None, pairs, options)

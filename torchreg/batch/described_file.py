@@ -12,10 +12,7 @@ import torch
 
 from torchreg.batch.checked_file import read_checked, write_checked
 from torchreg.io.result_json import plain_data
-from torchreg.refinement.surfels import Surfels
 from torchreg.registration.described import DescribedClouds, Description
-from torchreg.registration.inspect import CloudFacts
-from torchreg.types import Clouds, Failure, Features
 from torchreg.version import __version__
 
 _FORMAT = 8
@@ -54,6 +51,5 @@ def read_described(path: Path, description: Description) -> DescribedClouds | No
     body = read_checked(path)
     if body is None:
         return None
-    with torch.serialization.safe_globals([Clouds, Features, CloudFacts, Failure, Surfels]):
-        cloud, features, spacing, facts, surfels = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    cloud, features, spacing, facts, surfels = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
     return DescribedClouds(cloud, features, (description,), spacing, facts, surfels)

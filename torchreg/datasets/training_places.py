@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from torchreg.entry import entry
 from torchreg.errors import at_least
 from torchreg.learning.posed_pairs import PosedPair
 from torchreg.metrics import overlap
@@ -23,6 +24,7 @@ _SCANS = 6  # of a building
 _LEAST_OVERLAP, _PAIRS = 0.3, 3  # of two of its scans, and how many pairs of them at most
 
 
+@entry
 def simulated_pairs(first: int, places: int) -> Iterator[PosedPair]:
     """Pairs of malls, roads and buildings, so many places of each, in turn.
 

@@ -13,11 +13,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchreg.entry import entry
 from torchreg.errors import describe, expect, expect_shape
 from torchreg.types import Clouds
 from torchreg.types.packing import checked_offsets, offsets_of
 
 
+@entry
 def from_pytorch3d(clouds: Any, *, colors: bool = True) -> Clouds:  # noqa: ANN401
     """Make clouds of ``pytorch3d.structures.Pointclouds``; features of three columns are colors.
 
@@ -35,6 +37,7 @@ def from_pytorch3d(clouds: Any, *, colors: bool = True) -> Clouds:  # noqa: ANN4
     return Clouds.from_list(clouds.points_list(), features, clouds.normals_list())
 
 
+@entry
 def to_pytorch3d(clouds: Clouds, Pointclouds: Callable[..., Any]) -> Any:  # noqa: ANN401
     """Make ``Pointclouds(points=, normals=, features=)`` of B clouds, lists of tensors each; colors are the features.
 
@@ -48,6 +51,7 @@ def to_pytorch3d(clouds: Clouds, Pointclouds: Callable[..., Any]) -> Any:  # noq
     return Pointclouds(points=points, normals=normals, features=features)
 
 
+@entry
 def from_pyg(data: Any, *, colors: str | None = "color", normals: str | None = "normal") -> Clouds:  # noqa: ANN401
     """Make clouds of ``Data`` or ``Batch`` of PyTorch Geometric.
 
@@ -71,6 +75,7 @@ def from_pyg(data: Any, *, colors: str | None = "color", normals: str | None = "
     )
 
 
+@entry
 def to_pyg(clouds: Clouds, Data: Callable[..., Any]) -> Any:  # noqa: ANN401
     """Make ``Data(pos=, color=, normal=)`` of B clouds, with ``batch`` (P,) and ``ptr`` (B+1,) unless B is 1.
 

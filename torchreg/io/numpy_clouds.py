@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.io.assemble import RawCloud, assemble, checked_dtype, scale_colors
 from torchreg.io.placement import Viewpoint, checked_viewpoint
@@ -30,6 +31,7 @@ class NumpyCloud(NamedTuple):
     normals: _Array | None
 
 
+@entry
 def from_numpy(
     points: ArrayLike,
     colors: ArrayLike | None = None,
@@ -62,6 +64,7 @@ def from_numpy(
     return cloud_of_arrays("points", "arrays", *arrays, viewpoint=viewpoint, dtype=dtype)  # type: ignore[arg-type]
 
 
+@entry
 def to_numpy(cloud: Clouds) -> NumpyCloud:
     """The arrays of one cloud, on the CPU and without gradients.
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import torch
 
+from torchreg.entry import entry
 from torchreg.learning.posed_pairs import SUPPORT_VOXELS, DescribedSide, PosedPair, whole_view
 from torchreg.matching import match_mutual
 from torchreg.metrics import feature_match_recall, inlier_ratio
@@ -62,6 +63,7 @@ class GroupQuality(NamedTuple):
     feature_match_recall: float
 
 
+@entry
 def match_quality(methods: dict[str, Describe], pairs: Iterable[PosedPair]) -> Iterator[MatchQuality]:
     """Judge every method on every pair, one after another, as they come. No gradients.
 
@@ -83,6 +85,7 @@ def match_quality(methods: dict[str, Describe], pairs: Iterable[PosedPair]) -> I
             yield MatchQuality(name, posed.pair.name, posed.group, count, round(share * count), share)
 
 
+@entry
 def by_group(qualities: Sequence[MatchQuality]) -> list[GroupQuality]:
     """Means by group and features, groups in order of appearance; at last over all pairs, as the group ``"all"``."""
     rows = []
@@ -107,6 +110,7 @@ def baselines() -> dict[str, Describe]:
     }
 
 
+@entry
 def network_features(network: PointNetwork, *, weight: float = 1.0) -> dict[str, Describe]:
     """The features of a network alone, and as a block beside the default's with a weight."""
     return {"network": partial(_alone, network), "default + network": partial(_beside, network, weight)}

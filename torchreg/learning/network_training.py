@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from torchreg.augment.streams import derived_seed, generator_of
+from torchreg.entry import entry
 from torchreg.errors import at_least, expect, positive
 from torchreg.learning.correspondence_losses import info_nce
 from torchreg.learning.posed_pairs import DescribedSide, PairView, PosedPair, random_view
@@ -184,6 +185,7 @@ def saved_network(training: NetworkTraining) -> dict[str, Any]:
     return {"sizes": training.network.sizes(), "network": weights}
 
 
+@entry
 def load_network(path: str | os.PathLike[str]) -> PointNetwork:
     """Read the network of a file of weights or of a checkpoint of ``torchreg train``, ready to describe clouds.
 

@@ -126,11 +126,11 @@ class _Messages(nn.Module):
 
     def __init__(self, width: int, hidden: int) -> None:
         super().__init__()
-        self.sender = nn.Linear(width, width, bias=False)
-        self.receiver = nn.Linear(width, width)
-        self.pair = nn.Linear(PAIR_CUES, width, bias=False)
+        self.sender = nn.Linear(width, width, bias=False, dtype=torch.float32)
+        self.receiver = nn.Linear(width, width, dtype=torch.float32)
+        self.pair = nn.Linear(PAIR_CUES, width, bias=False, dtype=torch.float32)
         self.update = _mlp(2 * width, hidden, width)
-        self.norm = nn.LayerNorm(width)
+        self.norm = nn.LayerNorm(width, dtype=torch.float32)
 
     def forward(self, rows: Tensor, pairs: Tensor, index: Tensor, valid: Tensor) -> Tensor:
         """Rows (P, width) from rows (P, width) and cues of pairs (P, K, 9), by neighbors of which some are valid."""
@@ -149,7 +149,8 @@ class _Messages(nn.Module):
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
+    first, last = nn.Linear(inputs, hidden, dtype=torch.float32), nn.Linear(hidden, outputs, dtype=torch.float32)
+    return nn.Sequential(first, nn.ReLU(), last)
 
 
 def _default_support(cloud: Clouds) -> Neighborhoods:

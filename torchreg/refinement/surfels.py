@@ -23,6 +23,7 @@ from torchreg.native import call, native
 from torchreg.neighborhoods.point_index import several_nearest
 from torchreg.preprocess.downsample import CountedVoxels, counted_voxels, in_morton_order, voxel_downsample
 from torchreg.types import Clouds
+from torchreg.types.loading import loadable
 from torchreg.types.packing import kept_rows, spans
 
 _NEIGHBORS = 16  # points of a plane
@@ -36,6 +37,7 @@ _REACH = 2.0  # times the median squared distance to the last neighbor: what is 
 _FLOOR = 0.05  # of the median variance, added to each: few points may lie in a plane by chance
 
 
+@loadable
 @dataclass(frozen=True, eq=False)
 class Surfels:
     """Surfels of B clouds.

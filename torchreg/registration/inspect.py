@@ -11,6 +11,7 @@ import torch
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.units import Lengths, extents_note, feet_note, rough_spacing, units_failure
 from torchreg.types import Clouds, Failure
+from torchreg.types.loading import loadable
 from torchreg.types.packing import kept_rows
 
 _LEAST_POINTS = 4
@@ -19,6 +20,7 @@ _FARTHEST = 1e15  # meters: squares stay finite in float32
 _MOST_VOXELS = 1e6  # a side: what voxels can be numbered by
 
 
+@loadable
 class CloudFacts(NamedTuple):
     """The facts of one cloud as it was given."""
 

@@ -315,10 +315,10 @@ def batch_of_problems():
     lost.source.points[5] = float("nan")
     line = torch.arange(10.0, dtype=torch.float64)[:, None].repeat(1, 3)
     flat = MatchProblem(
-        tr.Clouds(points=line), tr.Clouds(points=line), matched(*[torch.arange(10)] * 2), EYE[None], None
+        tr.Clouds(points=line), tr.Clouds(points=line), matched(*[torch.arange(10)] * 2), EYE[None], torch.ones(10) > 0
     )
     bare = tr.Clouds(points=torch.zeros(0, 3, dtype=torch.float64))
-    none = MatchProblem(bare, bare, matched(*[torch.zeros(0, dtype=torch.int64)] * 2), EYE[None], None)
+    none = MatchProblem(bare, bare, matched(*[torch.zeros(0, dtype=torch.int64)] * 2), EYE[None], torch.ones(0) > 0)
     single = without(correspondence_problem(5), slice(0, 1))
     return [made[0], lost, none, made[1], flat, single, made[2]]
 
