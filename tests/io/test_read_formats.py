@@ -236,3 +236,6 @@ def test_arguments(tmp_path):
     for viewpoint in ("scanner", (1, 2), (1, 2, float("nan"))):
         with pytest.raises(ValueError, match=r"^viewpoint: expected 'auto', 'origin', None or three finite"):
             read_cloud(path, viewpoint=viewpoint)
+    for viewpoint in (5, ("a", "b", "c")):
+        with pytest.raises(ValueError, match=r"^viewpoint: expected "):
+            read_cloud(path, viewpoint=viewpoint)

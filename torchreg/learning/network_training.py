@@ -24,6 +24,7 @@ from torchreg.errors import at_least, expect, positive
 from torchreg.learning.correspondence_losses import info_nce
 from torchreg.learning.posed_pairs import DescribedSide, PairView, PosedPair, random_view
 from torchreg.nn.point_network import PointNetwork
+from torchreg.seeds import torch_seed
 from torchreg.types import Neighborhoods
 
 _IGNORED = 2.0  # partner radii; nearer points are no partners, but too near the true place to count as wrong
@@ -214,8 +215,8 @@ def drawn_network(seed: int, **sizes: int) -> PointNetwork:
 
     The global generator is left alone.
     """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with torch.random.fork_rng(devices=[]), torch.device("cpu"):
+        torch.manual_seed(torch_seed(seed))
         return PointNetwork(**sizes)
 
 
