@@ -190,6 +190,37 @@ def test_killed_twenty_times_and_resumed_the_files_have_the_same_bytes(paths, tm
         assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_a_node_of_a_cluster_that_dies_changes_no_bit(paths, whole, tmp_path):
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    from torchreg.batch.ray_engine import RayEngine
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    node = cluster.add_node(num_cpus=1)
+    cluster.wait_for_nodes()
+    steps = []
+
+    def report(progress):
+        if progress.stage == "register":
+            steps.append(progress.done)
+            if len(steps) == 2:
+                cluster.remove_node(node, allow_graceful=False)
+
+    try:
+        with closing(RayEngine(address=cluster.address)) as engine, SiteStore(tmp_path / "out", MANIFEST) as store:
+            assert engine.workers == 2
+            (tmp_path / "out" / "described").mkdir()
+            result = run_site(paths, store, engine, described=tmp_path / "out" / "described", report=report).result
+            assert engine.workers == 1
+    finally:
+        cluster.shutdown()
+    assert len(steps) > 2
+    assert same(result, whole)
+
+
 def test_a_large_site_has_the_same_bits_in_memory_on_disk_and_by_shards(paths, tmp_path, monkeypatch):
     from torchreg.site import pairs, rounds
 
