@@ -61,20 +61,24 @@ def expect_shape(
 
     A string in ``shape`` names a free dimension; the dtype ``"floating"`` is any of real floating-point numbers.
     """
-    expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
     if not isinstance(value, Tensor):
-        raise ArgumentTypeError(f"{name}: expected a tensor {expected}, got {type(value).__name__}")
+        raise ArgumentTypeError(f"{name}: expected a tensor {_words_of(shape)}, got {type(value).__name__}")
     fits = value.ndim == len(shape) and all(
         isinstance(want, str) or want == have for want, have in zip(shape, value.shape, strict=True)
     )
     if not fits:
-        raise ValueError(f"{name}: expected {expected}, got {tuple(value.shape)}")
+        raise ValueError(f"{name}: expected {_words_of(shape)}, got {tuple(value.shape)}")
     if dtype == "floating":
         expect_floating(value, name)
     elif dtype is not None:
         expect_dtype(value, name, dtype)
     if device is not None:
         expect_device(value, name, device)
+
+
+def _words_of(shape: tuple[int | str, ...]) -> str:
+    """A shape as Python writes it; made only for a message, since compilers cannot look into it."""
+    return "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
 
 
 def expect_floating(value: Tensor, name: str) -> None:

@@ -82,10 +82,11 @@ def test_an_exported_descriptor_takes_any_number_of_points(words):
 
 
 @pytest.mark.slow
-def test_a_compiled_descriptor_takes_any_number_of_points_and_passes_gradients_on():
+@pytest.mark.parametrize("how", [{"fullgraph": True, "dynamic": False}, {}], ids=str)
+def test_a_compiled_descriptor_takes_any_number_of_points_and_passes_gradients_on(how):
     module = Described()
     torch._dynamo.reset()
-    compiled = torch.compile(module, fullgraph=True, dynamic=True, backend="aot_eager")
+    compiled = torch.compile(module, backend="aot_eager", **how)
     for count in (40, 90, 150):
         tensors = described_tensors(count)
         gradients = []
