@@ -99,6 +99,23 @@ def test_a_compiled_descriptor_takes_any_number_of_points_and_passes_gradients_o
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # the exporter's own
+def test_a_soft_descriptor_in_onnx_takes_any_number_of_points(tmp_path):
+    pytest.importorskip("onnxscript")
+    runtime = pytest.importorskip("onnxruntime")
+    module, points = Described(), Dim("points", min=16, max=100_000)
+    exported = torch.export.export(
+        module, described_tensors(40), dynamic_shapes=tuple({0: points} for _ in range(6)), strict=False
+    )
+    torch.onnx.export(exported, dynamo=True).save(tmp_path / "described.onnx")
+    session = runtime.InferenceSession(tmp_path / "described.onnx")
+    for count in (30, 150):
+        tensors = described_tensors(count, seed=1)
+        given = {each.name: tensor.numpy() for each, tensor in zip(session.get_inputs(), tensors, strict=True)}
+        assert close(torch.from_numpy(session.run(None, given)[0]), module(*tensors).detach(), atol=1e-3)
+
+
+@pytest.mark.slow
 def test_an_exported_registration_takes_any_numbers_of_points_and_reads_nothing_back():
     module = Registered(OPTIONS)
     p, q = (Dim(name, min=32, max=20_000) for name in ("p", "q"))

@@ -30,7 +30,7 @@ class _Angle(TensorFunction):
         for n in range(terms - 1, -1, -1):
             series = series.mul_(square).add_((-1) ** n / (2 * n + 1))
         front = series.mul_(half).mul_(8)
-        behind = torch.copysign(torch.full_like(front, math.pi), sine).sub_(front)
+        behind = _half_turn(sine).sub_(front)
         return torch.where(cosine < 0, behind, front)
 
     @staticmethod
@@ -42,6 +42,12 @@ class _Angle(TensorFunction):
         sine, cosine = ctx.saved_tensors
         turn = grads[0] / (sine * sine + cosine * cosine)
         return turn * cosine, -turn * sine
+
+
+def _half_turn(sine: Tensor) -> Tensor:
+    """Half a turn with the sign of ``sine``; in a captured graph without that of zeros, which ONNX does not know."""
+    half = torch.full_like(sine, math.pi)
+    return torch.where(sine < 0, -half, half) if torch.compiler.is_compiling() else torch.copysign(half, sine)
 
 
 def angle(sine: Tensor, cosine: Tensor) -> Tensor:
