@@ -1,5 +1,6 @@
 """The network: what it maps to what, and what must not change its features."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ from problems import garbage_in_invalid_slots, oriented_room, random_transform, 
 from refusals import refuses
 
 import torchreg as tr
+from torchreg.io.result_json import plain_data
 from torchreg.learning.network_training import drawn_network
 from torchreg.nn import NetworkBlock, PointNetwork
 
@@ -187,3 +189,19 @@ def test_a_block_states_how_far_it_sees():
     assert block.reach == pytest.approx(1.2)
     assert away[changed].max() < block.reach
     assert away[changed].max() > 0.6 * block.reach
+
+
+def test_a_block_is_saved_as_numbers_and_said_in_json(tmp_path):
+    block = NetworkBlock(network=drawn_network(3), radius=0.3)
+    torch.save(block, tmp_path / "block.pt")
+    loaded = torch.load(tmp_path / "block.pt", weights_only=True)
+    assert loaded.radius == block.radius
+    assert_same_weights(loaded.network, block.network)
+    said, other = (plain_data(NetworkBlock(network=drawn_network(seed), radius=0.3)) for seed in (3, 4))
+    assert json.loads(json.dumps(said)) == plain_data(block) == plain_data(loaded)
+    assert said != other
+
+
+def assert_same_weights(one, other):
+    for left, right in zip(one.state_dict().values(), other.state_dict().values(), strict=True):
+        assert torch.equal(left, right)

@@ -125,3 +125,11 @@ def test_answers_that_are_no_features_are_refused_by_name(room):
         tr.register(*pair[:2], options, describe=lambda cloud: (cloud.points,))
     with pytest.raises(TypeError, match="describe: expected a function or None, got 3"):
         tr.register(*pair[:2], options, describe=3)
+
+
+def test_a_wrapped_module_gets_neighborhoods_as_it_would_alone(room):
+    pair, options = room
+    alone = Own(options)
+    expected = tr.register(*pair[:2], options, describe=alone)
+    wrapped = torch.compile(alone, backend="eager")
+    assert same_bits(tr.register(*pair[:2], options, describe=wrapped), expected, ignore=TIMES)

@@ -369,3 +369,11 @@ def test_matches_that_do_not_fit_are_refused_by_name(room):
         tr.register_matches(source, target, 3, options)
     with pytest.raises(TypeError, match=r"target: expected Clouds, such as .* got None"):
         tr.register_matches(source, None, pairs, options)
+
+
+def test_a_scan_without_keypoints_is_a_failed_pair(room):
+    _, options, (source, f), (target, g) = room
+    nothing = tr.KeypointFeatures(torch.zeros(0, dtype=torch.int64), f.values[:0])
+    result = tr.register_features(source, target, nothing, g.values, options)
+    assert not result.success[0]
+    assert result.reason[0]

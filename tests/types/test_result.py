@@ -4,6 +4,7 @@ import pytest
 import torch
 from problems import matched
 from refusals import refuses
+from torch.utils import _pytree as pytree
 
 import torchreg as tr
 
@@ -62,3 +63,15 @@ def test_the_reason_is_the_text_of_the_failure():
 def test_a_failure_of_an_unknown_kind_is_refused():
     with refuses("kind", "'no consensus'", "'bad luck'"):
         tr.Failure("bad luck", "no reason")
+
+
+def test_results_of_two_runs_become_one_whose_times_add_up():
+    runs = [
+        tr.RegistrationResult(**FIELDS, seconds=times)
+        for times in ((("search", 1.0),), (("search", 2.0), ("icp", 0.5)))
+    ]
+    both = tr.RegistrationResult.pack(runs)
+    assert len(both) == 2
+    assert dict(both.seconds) == {"search": 3.0, "icp": 0.5}
+    mean = pytree.tree_map(lambda one, other: (one + other) / 2 if one.is_floating_point() else one, *runs)
+    assert dict(mean.seconds) == {"search": 1.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchreg.entry import entry
 from torchreg.errors import expect
@@ -124,11 +125,13 @@ def plain_data(value: Any) -> Any:  # noqa: ANN401
     """Any value of this package as JSON has it, all the way down.
 
     Dataclasses and named tuples become dictionaries of their fields, headed by ``name`` where the class has one (such
-    as the records of descriptors and solvers); tensors and sequences become lists, numbers that are not finite become
-    ``None``.
+    as the records of descriptors and solvers), modules their class and a digest of their weights; tensors and sequences
+    become lists, numbers that are not finite become ``None``.
     """
     if isinstance(value, Tensor):
         return plain_data(value.detach().cpu().tolist())
+    if isinstance(value, nn.Module):
+        return {"module": type(value).__name__, "weights": _digest_of(value)}
     if is_dataclass(value) and not isinstance(value, type):
         name = getattr(type(value), "name", None)
         by_name = {one.name: getattr(value, one.name) for one in fields(value) if not one.name.startswith("_")}
@@ -144,6 +147,15 @@ def plain_data(value: Any) -> Any:  # noqa: ANN401
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def _digest_of(module: nn.Module) -> str:
+    """The weights of a module, in short."""
+    digest = hashlib.blake2b(digest_size=16)
+    for name, weight in sorted(module.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(weight.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
 
 
 def versions() -> dict[str, str | None]:

@@ -72,17 +72,23 @@ def match_quality(methods: dict[str, Describe], pairs: Iterable[PosedPair]) -> I
             ``network_features(network)``.
         pairs: held out of all training.
     """
-    for posed in pairs:
-        view = whole_view(posed)
-        for name, describe in methods.items():
-            with torch.no_grad():
-                source, target = (describe(side, posed.voxel) for side in (view.source, view.target))
-            matches = match_mutual(source, target)
-            T = posed.pair.T_target_source[None]
-            clouds = view.source.cloud, view.target.cloud
-            share = float(inlier_ratio(*clouds, matches, T, INLIER_VOXELS * posed.voxel))
-            count = len(matches.source)
-            yield MatchQuality(name, posed.pair.name, posed.group, count, round(share * count), share)
+    return (quality for posed in pairs for quality in _qualities(methods, posed))
+
+
+@entry
+def _qualities(methods: dict[str, Describe], posed: PosedPair) -> list[MatchQuality]:
+    """What every method makes of one pair."""
+    view, qualities = whole_view(posed), []
+    for name, describe in methods.items():
+        with torch.no_grad():
+            source, target = (describe(side, posed.voxel) for side in (view.source, view.target))
+        matches = match_mutual(source, target)
+        T = posed.pair.T_target_source[None]
+        clouds = view.source.cloud, view.target.cloud
+        share = float(inlier_ratio(*clouds, matches, T, INLIER_VOXELS * posed.voxel))
+        count = len(matches.source)
+        qualities.append(MatchQuality(name, posed.pair.name, posed.group, count, round(share * count), share))
+    return qualities
 
 
 @entry

@@ -24,7 +24,7 @@ from torchreg.errors import at_least, expect, positive
 from torchreg.learning.correspondence_losses import info_nce
 from torchreg.learning.posed_pairs import DescribedSide, PairView, PosedPair, random_view
 from torchreg.nn.point_network import PointNetwork
-from torchreg.seeds import torch_seed
+from torchreg.seeds import any_seed, torch_seed
 from torchreg.types import Neighborhoods
 
 _IGNORED = 2.0  # partner radii; nearer points are no partners, but too near the true place to count as wrong
@@ -62,7 +62,7 @@ class NetworkTrainingOptions:
         at_least(self.steps, "steps", 1)
         at_least(self.points, "points", 20)
         at_least(self.anchors, "anchors", 2)
-        at_least(self.seed, "seed", 0)
+        any_seed(self.seed)
         for name in ("rate", "temperature", "partner_voxels"):
             positive(getattr(self, name), name)
         expect(0 <= self.decay < 1, "decay", "a number in [0, 1)", self.decay)
@@ -206,7 +206,7 @@ def load_network(path: str | os.PathLike[str]) -> PointNetwork:
         network = drawn_network(0, **state["sizes"])
         network.load_state_dict(state["network"])
     except (pickle.UnpicklingError, RuntimeError, EOFError, AttributeError, KeyError, TypeError) as error:
-        raise ValueError(f"{expected}, got {type(error).__name__}: {error}") from None
+        raise ValueError(f"{expected}, got another file ({type(error).__name__})") from None
     return network.eval().requires_grad_(False)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
 
 import torch
+from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
@@ -39,6 +40,12 @@ class NetworkBlock(Descriptor):
 
     network: PointNetwork = field(kw_only=True)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Numbers alone, so that results that hold one may be loaded with ``weights_only=True``."""
+        given = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "network"}
+        weights = {name: value.detach().cpu() for name, value in self.network.state_dict().items()}
+        return _block_of, (given, self.network.sizes(), weights)
+
     @property
     def reach(self) -> float:
         """Meters: every layer sees one support farther than the cues, which are FPFH's."""
@@ -49,3 +56,12 @@ class NetworkBlock(Descriptor):
         with torch.no_grad():
             features: Features = self.network(cloud, near)
         return features
+
+
+def _block_of(given: dict[str, Any], sizes: dict[str, int], weights: dict[str, Tensor]) -> NetworkBlock:
+    network = PointNetwork(**sizes)
+    network.load_state_dict(weights)
+    return NetworkBlock(network=network.eval().requires_grad_(False), **given)
+
+
+torch.serialization.add_safe_globals([_block_of])  # it makes numbers into a network, and runs no code of a file

@@ -78,6 +78,7 @@ def checked_features(given: GivenFeatures, clouds: Clouds, name: str, of: str) -
     if isinstance(given, KeypointFeatures):
         rows = _keypoints(given, clouds, name, of)
         some = _finite_rows(given.values, f"{name}.values")
+        expect_device(some, f"{name}.values", clouds.device)
         expect(len(some) == len(rows), f"{name}.values", f"a row for each of {len(rows)} keypoints", given.values)
         values = some.new_zeros(points, some.shape[1])
         values[rows] = some
@@ -117,7 +118,8 @@ def checked_matches(matches: GivenMatches, source: Clouds, target: Clouds) -> li
     if not isinstance(several, Sequence) or not all(isinstance(each, Tensor) for each in several):
         kind = type(matches).__name__
         raise TypeError(f"matches: expected index pairs (M, 2) of every pair, or Correspondences, got {kind}")
-    expect(len(several) == len(source), "matches", f"index pairs (M, 2) for each of {len(source)} pairs", len(several))
+    wanted = f"index pairs (M, 2), as torch.stack([i, j], dim=1), for each of {len(source)} pairs"
+    expect(len(several) == len(source), "matches", wanted, len(several))
     return [_of_pair(_columns(each, source), b, source, target) for b, each in enumerate(several)]
 
 
@@ -147,7 +149,8 @@ def _keypoints(given: KeypointFeatures, clouds: Clouds, name: str, of: str) -> T
     expect_shape(given.rows, f"{name}.rows", ("K",), torch.int64, clouds.device)
     points, rows = len(clouds.points), given.rows
     legal = bool(((rows >= 0) & (rows < points)).all())
-    expect(legal, f"{name}.rows", f"rows 0 to {points - 1} of {of}", [int(row) for row in rows.aminmax()])
+    if not legal:
+        expect(False, f"{name}.rows", f"rows 0 to {points - 1} of {of}", [int(row) for row in rows.aminmax()])
     distinct = len(rows.unique())
     expect(distinct == len(rows), f"{name}.rows", "every row at most once", f"{distinct} different of {len(rows)}")
     return rows

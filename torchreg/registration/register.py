@@ -77,7 +77,7 @@ def register(
         describe: an ``nn.Module`` (or a function) that describes clouds in place of the options' descriptors, which
             then judge poses alone. It is called in evaluation mode, without gradients, once for every distinct cloud:
             with ``Clouds`` of one thinned cloud with normals, and with colors where both sides have them; and, where it
-            takes a second argument, with the ``Neighborhoods`` of its points (the widest support of the options). It
+            needs a second argument, with the ``Neighborhoods`` of its points (the widest support of the options). It
             returns features as ``register_features`` takes them: (P, D), or ``Features``.
         seed: of every random draw, any integer. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that

@@ -26,7 +26,7 @@ from torchreg.registration.plan import Describe
 from torchreg.types import Clouds, Features
 
 Trained = Callable[..., GivenFeatures]
-"""A module, or any function, of a cloud, and of its ``Neighborhoods`` where it takes a second argument."""
+"""A module, or any function, of a cloud, and of its ``Neighborhoods`` where it needs a second argument."""
 
 
 class Describing(NamedTuple):
@@ -80,6 +80,8 @@ def _nothing(cloud: Clouds) -> Features:
 
 def _takes_neighborhoods(module: Trained) -> bool:
     """Whether it needs a second argument."""
+    while isinstance(inner := getattr(module, "_orig_mod", getattr(module, "module", None)), nn.Module):
+        module = inner  # of one that is compiled or in parallel, whose own arguments are any
     try:
         parameters = inspect.signature(module.forward if isinstance(module, nn.Module) else module).parameters.values()
     except (TypeError, ValueError):

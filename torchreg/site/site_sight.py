@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from torchreg.errors import expect
+from torchreg.geometry.se3 import apply
 from torchreg.site.panorama import Panorama, looked_at
 from torchreg.site.sight import NEAR, Stations, between
 
-_FINE = 0.5  # spacings: poses no farther apart are asked once
+_FINE = 0.5  # spacings: poses are asked once for every cell of that size
 
 
 class SiteSight:
@@ -47,7 +48,7 @@ class SiteSight:
     def odds(self, source: int, target: int, T_target_source: Tensor) -> float:
         """Log-odds for a pose, or against it, from what both saw and from where they would stand.
 
-        Of poses that are within a part of a spacing of each other, those of the first that was asked.
+        Of poses in one cell of half a spacing those of the first that was asked.
         """
         one, other = self.of(source), self.of(target)
         if one is None or other is None:
@@ -56,7 +57,7 @@ class SiteSight:
         if apart > NEAR:
             return 0.0
         fine = _FINE * max(one.spacing, other.spacing)
-        shift = T_target_source[:3, 3] / fine
+        shift = (apply(T_target_source, one.scanner[None])[0] - other.scanner) / fine
         turn = T_target_source[:3, :3] * (max(one.reach, other.reach) / fine)
         key = (source, target, tuple(torch.cat([shift, turn.flatten()]).round_().tolist()))
         if key not in self._odds:

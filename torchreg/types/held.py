@@ -14,7 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import describe, expect, expect_shape
 from torchreg.types.packing import offsets_of, spans
 
 Change = Callable[[Tensor, bool], Tensor]
@@ -40,7 +40,7 @@ class Held:
     def joined(self, values: Sequence[Any], name: str, batches: Sequence[Any]) -> Any:  # noqa: ANN401
         """The value of all batches, at least one, joined."""
         other = next((value for value in values if value != values[0]), values[0])
-        expect(other == values[0], name, f"the same in all that are joined, such as {values[0]!r}", other)
+        expect(other == values[0], name, f"the same in all that are joined, such as {describe(values[0])}", other)
         return values[0]
 
     def moved(self, value: Any, change: Change) -> Any:  # noqa: ANN401
@@ -55,6 +55,29 @@ class Held:
 
     def check(self, value: Any, name: str, count: int) -> None:  # noqa: ANN401
         """Raise ``ValueError`` where the value does not fit a batch of ``count`` items."""
+
+
+class Timings(tuple[tuple[str, float], ...]):
+    """Seconds by stage as part of a pytree's structure, where any are as good as others."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, tuple)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Times(Held):
+    """The seconds of every stage of a run, (name, seconds) in order, which add up where runs are joined."""
+
+    def joined(self, values: Sequence[Any], name: str, batches: Sequence[Any]) -> Any:  # noqa: ANN401
+        """The sums by stage; parts of one run have its times, which count once."""
+        total: dict[str, float] = {}
+        for stage, seconds in (each for value in dict.fromkeys(values) for each in value):
+            total[stage] = total.get(stage, 0.0) + seconds
+        return tuple(total.items())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from torchreg.types.held import Offsets, PerItem, PerRow, held_by
+from torchreg.types.held import Offsets, PerItem, PerRow, Times, Timings, held_by
 
 
 class Hollow(NamedTuple):
@@ -50,6 +50,8 @@ def _flatten_with_keys(record: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, .
         if isinstance(kind, (PerRow, PerItem, Offsets)):
             children += [(pytree.GetAttrKey(name), value)] if value is not None else []
             structure.append(value is not None)
+        elif isinstance(kind, Times):
+            structure.append(Timings(value))
         else:
             tensors, rest = _split(value)
             children += [(pytree.GetAttrKey(name + path), tensor) for path, tensor in tensors]
@@ -77,7 +79,7 @@ def _unflatten(kind: type, children: Any, structure: tuple[Any, ...]) -> Any:  #
                 leaves[place] = next(left)
             value = pytree.tree_unflatten(leaves, rest.spec)
         else:
-            value = rest
+            value = tuple(rest) if isinstance(rest, Timings) else rest
         object.__setattr__(record, name, value)
     return record
 

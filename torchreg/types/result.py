@@ -14,7 +14,7 @@ from torchreg.types.candidate import Candidate, StageCounts
 from torchreg.types.clouds import Clouds
 from torchreg.types.correspondences import Correspondences, MatchesBetween
 from torchreg.types.failure import Failure
-from torchreg.types.held import Held, Listed, PerItem, PerRow, held, numbers
+from torchreg.types.held import Listed, PerItem, PerRow, Times, held, numbers
 from torchreg.types.loading import loadable
 from torchreg.types.record import PackedBatch
 from torchreg.types.shown import listed, several
@@ -96,7 +96,7 @@ class RegistrationResult(PackedBatch):
     correspondences: Correspondences = held(MatchesBetween())
     options: tuple[Any, ...] = held(Listed(optional=True), default=())
     notes: tuple[tuple[str, ...], ...] = held(Listed(optional=True), default=())
-    seconds: tuple[tuple[str, float], ...] = held(Held(), default=())
+    seconds: tuple[tuple[str, float], ...] = held(Times(), default=())
     probability: Tensor | None = held(numbers(), default=None)
     overlap: Tensor | None = held(numbers(), default=None)
     information: Tensor | None = held(numbers(6, 6), default=None)
