@@ -123,7 +123,8 @@ def _soft_descriptors(g: Given) -> Any:
     cloud = tr.estimate_normals(replace(g.source, points=points, colors=colors), g.near)
     geometry, color = tr.fpfh(cloud, g.near, binning="soft"), tr.pcfh(cloud, g.near, binning="soft")
     loss = geometry.values.square().sum() + color.values.square().sum()
-    return geometry.values.detach(), color.values.detach(), *torch.autograd.grad(loss, (points, colors))
+    gradients = torch.autograd.grad(loss, (points, colors))  # 1e5 and more: beside the largest of them
+    return geometry.values.detach(), color.values.detach(), *(each / each.abs().max() for each in gradients)
 
 
 def _soft_match(method: str, g: Given) -> Any:
