@@ -15,11 +15,11 @@ from typing import NamedTuple
 import torch
 
 from torchreg.entry import entry
-from torchreg.learning.posed_pairs import SUPPORT_VOXELS, DescribedSide, PosedPair, whole_view
+from torchreg.learning.posed_pairs import DescribedSide, PosedPair, whole_view
 from torchreg.matching import match_mutual
 from torchreg.metrics import feature_match_recall, inlier_ratio
 from torchreg.nn.network_block import NetworkBlock
-from torchreg.nn.point_network import PointNetwork
+from torchreg.nn.point_network import SUPPORT, PointNetwork
 from torchreg.registration.options import LEARNED, RegistrationOptions
 from torchreg.registration.recipes import fused_blocks
 from torchreg.registration.spacing import options_for
@@ -135,7 +135,7 @@ def with_network(
     options: RegistrationOptions, network: PointNetwork, voxel: float, *, weight: float = 1.0
 ) -> RegistrationOptions:
     """The options with a network as another block, on supports of 5 voxels; ``voxel`` in meters."""
-    block = NetworkBlock(network=network, radius=SUPPORT_VOXELS * voxel)
+    block = NetworkBlock(network=network, radius=SUPPORT * voxel)
     return replace(options, descriptors=(*options.descriptors, block), weights=(*options.weights, weight))
 
 

@@ -17,13 +17,13 @@ from torchreg.augment.streams import derived_seed, generator_of
 from torchreg.errors import expect, positive
 from torchreg.geometry.se3 import apply
 from torchreg.neighborhoods import nearest, neighbors
+from torchreg.nn.point_network import MAX_NEIGHBORS, NORMAL_NEIGHBORS, NORMAL_SUPPORT, SUPPORT
 from torchreg.preprocess import estimate_normals, voxel_downsample
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.packing import offsets_of
 from torchreg.types.scan_pair import ScanPair
 
-NORMAL_VOXELS, NORMAL_NEIGHBORS = 2.0, 30
-SUPPORT_VOXELS, SUPPORT_NEIGHBORS = 5.0, 100
+NORMAL_VOXELS = SUPPORT * NORMAL_SUPPORT  # a spacing of thinned scans is a voxel
 _BASE_VOXELS = 0.6  # of the pair, to which scans are thinned once
 
 
@@ -117,7 +117,7 @@ def _viewed(pair: ScanPair, voxel: float, partner_voxels: float) -> PairView:
 
 
 def _side(cloud: Clouds, voxel: float) -> DescribedSide:
-    near = neighbors(cloud, SUPPORT_VOXELS * voxel, SUPPORT_NEIGHBORS)
+    near = neighbors(cloud, SUPPORT * voxel, MAX_NEIGHBORS)
     return DescribedSide(estimate_normals(cloud, near.restrict(NORMAL_VOXELS * voxel, NORMAL_NEIGHBORS)), near)
 
 

@@ -30,8 +30,8 @@ from torchreg.registration.spacing import spacing
 from torchreg.types import Clouds, Features, Neighborhoods
 
 BLOCK = "network"
-_SUPPORT, _MAX_NEIGHBORS = 5.0, 100  # spacings and neighbors, as FPFH has them by default
-_NORMAL_SUPPORT, _NORMAL_NEIGHBORS = 0.4, 30  # shares of the support
+SUPPORT, MAX_NEIGHBORS = 5.0, 100  # spacings and neighbors, as FPFH has them by default
+NORMAL_SUPPORT, NORMAL_NEIGHBORS = 0.4, 30  # shares of the support
 _CHUNK = 1 << 21  # elements of a (rows, K, width) temporary
 
 
@@ -104,7 +104,7 @@ class PointNetwork(nn.Module):
         expect(near.radius is not None, "near", "neighborhoods whose radius is known", "radius None")
         assert near.radius is not None
         if cloud.normals is None:
-            cloud = estimate_normals(cloud, near.restrict(near.radius * _NORMAL_SUPPORT, _NORMAL_NEIGHBORS))
+            cloud = estimate_normals(cloud, near.restrict(near.radius * NORMAL_SUPPORT, NORMAL_NEIGHBORS))
         cues = point_cues(cloud, near)
         index, valid = near.index[:, :: self.stride], near.valid[:, :: self.stride]
         dtype = next(self.parameters()).dtype
@@ -154,7 +154,7 @@ def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 
 
 def _default_support(cloud: Clouds) -> Neighborhoods:
-    radii = _SUPPORT * spacing(cloud.detach())
+    radii = SUPPORT * spacing(cloud.detach())
     radii = torch.where(radii > 0, radii, 1.0)  # of clouds of fewer than five points
     one = len(radii) > 0 and bool((radii == radii[0]).all())
-    return neighbors(cloud, float(radii[0]) if one else radii, _MAX_NEIGHBORS)
+    return neighbors(cloud, float(radii[0]) if one else radii, MAX_NEIGHBORS)

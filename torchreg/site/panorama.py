@@ -68,8 +68,8 @@ class Panorama(NamedTuple):
     seen: Tensor
     points: Tensor
     point_colors: Tensor | None
-    color_grain: float = 0.0
-    tint_grain: float = 0.0
+    color_grain: float
+    tint_grain: float
 
 
 class Looked(NamedTuple):

@@ -41,7 +41,7 @@ def read_panorama(path: Path) -> KeptPanorama | None:
     body = read_checked(path)
     if body is None:
         return None
-    found, content = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
-    if found != _FORMAT:
+    kept = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    if kept[0] != _FORMAT:
         return None
-    return KeptPanorama(None if content is None else Panorama(*content))
+    return KeptPanorama(None if kept[1] is None else Panorama(*kept[1]))
