@@ -8,7 +8,7 @@ from problems import room_site
 
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of
-from torchreg.site.panorama import looked, looked_at, panorama_of
+from torchreg.site.panorama import Neutral, compared, looked, panorama_of
 from torchreg.site.panorama_file import panorama_file, read_panorama, write_panorama
 from torchreg.site.sight import learned_stations
 from torchreg.site.site_sight import SiteSight
@@ -23,6 +23,10 @@ def room():
 def moved(x=0.0, degrees=0.0):
     turn = torch.tensor([0.0, 0.0, degrees], dtype=torch.float64).deg2rad()
     return rigid(rotation_of(turn), torch.tensor([x, 0.0, 0.0], dtype=torch.float64))
+
+
+def looked_at(source, target, T_target_source):
+    return Neutral().odds(compared(source, target, T_target_source))
 
 
 def test_scanners_speak_for_a_pose_that_is_nearly_right_and_against_wrong_ones(room):

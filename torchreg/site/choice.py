@@ -12,7 +12,9 @@ number of pairs counts up to a few, sure links vote first and alone (``_ROUNDS``
 joined against links that are much likelier.
 
 Scanners of known places are witnesses: where a vote would lay look-alike places onto each other, they saw through each
-other's surfaces. So every ballot is weighed by what all of them would have seen.
+other's surfaces. So every ballot is weighed by what all of them would have seen. Where the links of a site contradict
+each other, all of them are doubted; a scan or two that no link holds any more then join a place of several scans at
+last, if its scanners speak for it.
 """
 
 from __future__ import annotations
@@ -45,6 +47,9 @@ _OUTVOTED = 2.0  # log-odds by which links that lose a vote may be likelier than
 _ROUGHLY = 1e-4  # radians and meters, to which poses are settled between the rounds
 _PLACE = 6  # scans of a group that may be a place with a look-alike
 _BALLOTS = 6  # at most, between two groups
+_SPEAK, _LIKELY = 0.5, 1.0  # log-odds from which on scanners speak for a pose, and links that were doubted
+_AGREEING = 2  # pairs whose doubted links agree
+_SPOKEN = 3.0  # log-odds that scanners speak for a pose at most: those of a look-alike place all say the same
 _ASKED = 16  # pairs of scanners of two groups, the nearest
 
 
@@ -63,11 +68,21 @@ class _Ballot(NamedTuple):
     level: float  # mean log-odds of the likelier half of them
     pairs: int  # that say so, and one more where a triangle confirms a link of them
     seen: float = 0.0  # log-odds, from what the scanners of both groups saw if it is right
+    against: float = 0.0  # the part of it that speaks against it
 
 
-def choose(graph: SiteGraph, triangles: Triangles, tolerance: Tolerance, sight: SiteSight | None = None) -> Start:
-    """Join scans by the links that are to be believed, as far as what scanners saw does not speak against it."""
-    return _Growth(graph, triangles, tolerance, sight).grown()
+def choose(
+    graph: SiteGraph, triangles: Triangles, tolerance: Tolerance, sight: SiteSight | None = None, doubt: float = 0.0
+) -> Start:
+    """Join scans by the links that are to be believed, as far as what scanners saw does not speak against it.
+
+    ``doubt`` was taken from the log-odds of all links.
+    """
+    growth = _Growth(graph, triangles, tolerance, sight)
+    growth.grow()
+    if sight is not None and doubt > 0:
+        growth.add_doubted(doubt)
+    return growth.start()
 
 
 def best_of_pairs(graph: SiteGraph, rows: Tensor, excess: Tensor) -> Tensor:
@@ -101,18 +116,29 @@ class _Growth:
         self.poses = torch.eye(4, dtype=torch.float64).repeat(nodes, 1, 1)
         self.believed: list[Tensor] = []
         self.names = itertools.count(nodes)
+        self.order = sorted(range(len(self.ends)), key=lambda row: (-self.score[row], row))
 
-    def grown(self) -> Start:
-        order = sorted(range(len(self.ends)), key=lambda row: (-self.score[row], row))
+    def grow(self) -> None:
+        """Join groups round by round."""
         for gate, confirmed in _ROUNDS:
-            asked = [row for row in order if self.evidence[row] >= gate and (self.confirmed[row] or not confirmed)]
-            refused: set[tuple[int, int]] = set()
-            joined = len(self.believed)
-            while sum(self._joined(row, gate if confirmed else min(gate, 0.0), refused) for row in asked):
-                pass
-            if len(self.believed) > joined:
-                self._relax()
+            asked = [row for row in self.order if self.evidence[row] >= gate and (self.confirmed[row] or not confirmed)]
+            self._round(asked, gate if confirmed else min(gate, 0.0))
+
+    def add_doubted(self, doubt: float) -> None:
+        """Join scans and small groups to larger ones by links that were doubted so much and that scanners speak for."""
+        self._round([row for row in self.order if self.evidence[row] >= -doubt], -doubt, doubt)
+
+    def start(self) -> Start:
+        """What has grown."""
         return Start(self.group, self.poses, self._rows())
+
+    def _round(self, asked: Sequence[int], gate: float, doubt: float = 0.0) -> None:
+        refused: set[tuple[int, int]] = set()
+        joined = len(self.believed)
+        while sum(self._joined(row, gate, refused, doubt) for row in asked):
+            pass
+        if len(self.believed) > joined:
+            self._relax()
 
     def _rows(self) -> Tensor:
         """The links that are believed, in order."""
@@ -132,7 +158,7 @@ class _Growth:
         self.turn_variance, self.shift_variance = self.tolerance.variances(self.graph, scale)
         self.variance = list(zip(self.turn_variance.tolist(), self.shift_variance.tolist(), strict=True))
 
-    def _joined(self, row: int, gate: float, refused: set[tuple[int, int]]) -> bool:
+    def _joined(self, row: int, gate: float, refused: set[tuple[int, int]], doubt: float) -> bool:
         """Whether the two groups of a link were joined."""
         one, other = sorted(self.group[node] for node in self.ends[row])
         if one == other or (one, other) in refused:
@@ -141,44 +167,52 @@ class _Growth:
         rows = self._between(few, many)
         ballots = self._ballots([k for k in rows if self.evidence[k] >= gate], few)
         if self.sight is not None:
-            ballots = [ballot._replace(seen=self._seen(ballot.row, few, many)) for ballot in ballots]
+            ballots = [self._witnessed(ballot, few, many) for ballot in ballots]
         ballots.sort(key=lambda ballot: (-_standing(ballot), ballot.row))
         first, rivals = ballots[0], ballots[1:]
-        outvoted = _OUTVOTED if len(self.members[few]) >= _PLACE else math.inf
+        places = len(self.members[few]) >= _PLACE, len(self.members[many]) >= _PLACE
+        outvoted = _OUTVOTED if places[0] else math.inf
         beaten = all(
             _standing(first) - _standing(rival) >= _AHEAD and rival.level - first.level <= outvoted for rival in rivals
         )
-        if first.score + min(first.seen, 0.0) < 0 or not beaten:  # what was seen makes nothing likely alone
+        if doubt > 0:  # what is known of a place by itself makes up for it
+            likely = first.seen >= _SPEAK and first.score + doubt + first.against >= _LIKELY
+            likely &= places == (False, True) and first.pairs >= _AGREEING
+        else:  # what was seen makes nothing likely alone
+            likely = first.score + min(first.seen, 0.0) >= 0
+        if not likely or not beaten:
             refused.add((one, other))
             return False
         self._join(first.row, few, many, rows)
         return True
 
-    def _seen(self, row: int, few: int, many: int) -> float:
-        """The log-odds of what scanners of both groups saw of each other's surfaces if link ``row`` is right.
+    def _witnessed(self, ballot: _Ballot, few: int, many: int) -> _Ballot:
+        """A ballot with what scanners of both groups saw of each other's surfaces if it is right.
 
         The scanners that would stand nearest to each other are asked: look-alike places would lie on each other.
         """
         sight, zero = self.sight, self.graph.zero
         assert sight is not None  # the caller knows
-        _, _, motion = self._motion(row, few)
+        _, _, motion = self._motion(ballot.row, few)
         moved, others = (self._witnesses(group) for group in (few, many))
         if not moved or not others:
-            return 0.0
+            return ballot
         poses = {scan: compose(motion, self.poses[scan]) for scan in moved} | {
             scan: self.poses[scan] for scan in others
         }
         stand = {scan: apply(pose, sight.scanner(scan)[None] - zero[scan])[0] for scan, pose in poses.items()}
         away = torch.stack([stand[scan] for scan in moved])[:, None] - torch.stack([stand[scan] for scan in others])
         apart = torch.linalg.vector_norm(away, dim=2).flatten()
-        total = 0.0
+        total = against = 0.0
         for place in apart.argsort(stable=True)[:_ASKED].tolist():
             k, m = divmod(place, len(others))
             source, target = moved[k], others[m]
             T = compose(inverse(poses[target]), poses[source])  # between frames about the zeros of the scans
             T[:3, 3] += zero[target] - T[:3, :3] @ zero[source]
-            total += sight.odds(source, target, T)
-        return total
+            odds = sight.odds(source, target, T)
+            total += odds
+            against += min(odds, 0.0)
+        return ballot._replace(seen=total, against=against)
 
     def _witnesses(self, group: int) -> list[int]:
         """The scans of a group whose scanners' places are known."""
@@ -281,4 +315,9 @@ class _Growth:
 
 
 def _standing(ballot: _Ballot) -> float:
-    return ballot.level + math.log(min(ballot.pairs, _COUNTED)) + _CONFIRMED * (min(ballot.pairs, 3) - 1) + ballot.seen
+    return (
+        ballot.level
+        + math.log(min(ballot.pairs, _COUNTED))
+        + _CONFIRMED * (min(ballot.pairs, 3) - 1)
+        + min(ballot.seen, _SPOKEN)
+    )

@@ -103,7 +103,7 @@ def with_odds(links: Sequence[Link], odds: Sequence[float]) -> list[Link]:
     wide = torch.tensor([0.0, *odds], dtype=torch.float64)
     chances = torch.softmax(wide, dim=0)[1:].tolist()
     parts = zip(links, odds, chances, strict=True)
-    return [replace(link, log_odds=value, probability=chance) for link, value, chance in parts]
+    return [link.weighed(value, chance) for link, value, chance in parts]
 
 
 def refined_link(link: Link, refined: Refined, pair: int) -> Link:

@@ -83,6 +83,14 @@ class Link(Record):
         expect(bool(self.center.isfinite().all()), "center", "finite numbers", self.center.tolist())
         at_least(self.rank, "rank", 0)
 
+    def weighed(self, log_odds: float, probability: float) -> Link:
+        """The same pose with other log-odds and another probability; what stays the same is not checked again."""
+        expect(not math.isnan(log_odds), "log_odds", "a number", log_odds)
+        made = object.__new__(Link)
+        made.__dict__.update(self.__dict__)
+        made.__dict__.update(log_odds=log_odds, probability=fraction(probability, "probability", zero=True))
+        return made
+
     def _facts(self) -> Sequence[str]:
         place = ", ".join(f"{number:.3f}" for number in self.T_target_source[:3, 3].tolist())
         return (

@@ -12,6 +12,7 @@ are those of whole numbers, minima and maxima do not depend on order: the same b
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -33,10 +34,11 @@ _LEAST_COLORED = 100  # points seen whose colors are known
 _STEPS = 255  # of a color
 _DARK = 0.05  # added to the sum of the channels that tints are shares of
 
-_THROUGH, _USUAL = 1.0, 0.009  # weight of the share of points looked through, and the share that speaks neither way
-_COLOR, _OTHER = 0.3, 0.045  # likewise, of the mean difference of colors
-_TINT, _TINGED = 0.7, 0.0125  # and of tints
+_THROUGH, _COLOR, _TINT = 1.0, 0.3, 0.7  # weights
 _GRAIN = 1.0  # times the difference between neighboring rays: less does not speak against a pose
+_BELIEVED = 3  # links that neutral points are learned from, at least
+_USUAL = 0.9  # of them that are usual
+_NEUTRAL_MOST = (0.04, 0.15, 0.05)  # neutral points at most
 _FOR, _AGAINST = 1.5, 4.0  # log-odds at most that ranges or colors speak for a pose, or against it
 
 
@@ -71,6 +73,11 @@ class Panorama(NamedTuple):
     color_grain: float
     tint_grain: float
 
+    @property
+    def is_around(self) -> bool:
+        """Whether it shows most of the sphere, as scanners on tripods do: cameras and spinning lidars do not."""
+        return 2 * int(self.nearest.isfinite().sum()) > len(self.nearest)
+
 
 class Looked(NamedTuple):
     """Of points of one scan that the scanner of another could have seen.
@@ -96,6 +103,64 @@ class Looked(NamedTuple):
     def share(self) -> float:
         """The share that it looked through, as if one of a hundred more had been."""
         return (self.through + 1.0) / (self.through + self.there + _BESIDES)
+
+
+class Compared(NamedTuple):
+    """What two scanners saw of each other's surfaces under a pose; NaN what nothing is known of.
+
+    Attributes:
+        through: the greater share of points that one of them looked through.
+        color: mean difference of the channels of those that were seen.
+        tint: likewise of their shares of the sum.
+        color_grain: differences of colors up to this are those of neighboring rays of one scan.
+        tint_grain: likewise of tints.
+    """
+
+    through: float
+    color: float
+    tint: float
+    color_grain: float
+    tint_grain: float
+
+
+class Neutral(NamedTuple):
+    """What speaks neither for a pose nor against it; more speaks against it.
+
+    Attributes:
+        through: share of points looked through.
+        color: mean difference of channels.
+        tint: mean difference of their shares of the sum.
+    """
+
+    through: float = 0.009
+    color: float = 0.045
+    tint: float = 0.0125
+
+    def odds(self, seen: Compared) -> float:
+        """Log-odds for a pose, or against it; 0 where nothing is known."""
+        odds = 0.0
+        if not math.isnan(seen.through):
+            odds += clamped(_THROUGH * math.log(self.through / seen.through), most=_FOR, least=-_AGAINST)
+        if not math.isnan(seen.color):
+            color = math.log(max(self.color, seen.color_grain) / max(seen.color, 1e-6))
+            tint = math.log(max(self.tint, seen.tint_grain) / max(seen.tint, 1e-6))
+            odds += clamped(_COLOR * color + _TINT * tint, most=_FOR, least=-_AGAINST)
+        return odds
+
+
+def learned_neutral(seen: Sequence[Compared]) -> Neutral | None:
+    """What speaks neither way on a site, from links that can be believed; ``None`` where they are few.
+
+    Nine in ten of these links are to speak for themselves.
+    """
+    if len(seen) < _BELIEVED:
+        return None
+    learned = []
+    for values, least, most in zip(zip(*(one[:3] for one in seen), strict=True), Neutral(), _NEUTRAL_MOST, strict=True):
+        known = sorted(value for value in values if not math.isnan(value))
+        usual = known[int(_USUAL * (len(known) - 1))] if len(known) >= _BELIEVED else 0.0
+        learned.append(min(max(usual, least), most))
+    return Neutral(*learned)
 
 
 def panorama_of(cloud: Clouds) -> Panorama | None:
@@ -170,22 +235,22 @@ def looked(viewer: Panorama, other: Panorama, T_viewer_other: Tensor) -> Looked:
     return Looked(int(through.sum()), int(there.sum()), color, tint)
 
 
-def looked_at(source: Panorama, target: Panorama, T_target_source: Tensor) -> float:
-    """Log-odds for a pose (4, 4) float64, or against it, from what both scanners saw; 0 where they tell nothing."""
+def compared(source: Panorama, target: Panorama, T_target_source: Tensor) -> Compared:
+    """What both scanners saw of each other's surfaces under a pose (4, 4) float64."""
     views = looked(target, source, T_target_source), looked(source, target, inverse(T_target_source))
-    odds = 0.0
-    shares = [view.share for view in views if view.tells]
-    if shares:
-        odds += clamped(_THROUGH * math.log(_USUAL / max(shares)), most=_FOR, least=-_AGAINST)
-    colored = [view for view in views if view.tells and not math.isnan(view.color)]
+    telling = [view for view in views if view.tells]
+    colored = [view for view in telling if not math.isnan(view.color)]
+    color = tint = math.nan
     if colored:
         color = sum(view.color for view in colored) / len(colored)
         tint = sum(view.tint for view in colored) / len(colored)
-        other = max(_OTHER, _GRAIN * max(source.color_grain, target.color_grain))
-        tinged = max(_TINGED, _GRAIN * max(source.tint_grain, target.tint_grain))
-        speaks = _COLOR * math.log(other / max(color, 1e-6)) + _TINT * math.log(tinged / max(tint, 1e-6))
-        odds += clamped(speaks, most=_FOR, least=-_AGAINST)
-    return odds
+    return Compared(
+        through=max((view.share for view in telling), default=math.nan),
+        color=color,
+        tint=tint,
+        color_grain=_GRAIN * max(source.color_grain, target.color_grain),
+        tint_grain=_GRAIN * max(source.tint_grain, target.tint_grain),
+    )
 
 
 def _some(count: int, most: int) -> Tensor:

@@ -89,6 +89,7 @@ def place(
     known: Iterable[KnownPose] = (),
     tolerance: Tolerance = _DEFAULT,
     sight: SiteSight | None = None,
+    doubt: float = 0.0,
 ) -> Placement:
     """Put scans into one frame by the links that can be believed.
 
@@ -102,6 +103,7 @@ def place(
         known: poses that are known beforehand, each with its own covariance.
         tolerance: how far poses may be apart that are held to be one.
         sight: what the scanners saw, which speaks for or against joining groups.
+        doubt: what was taken from the log-odds of all links, since they contradict each other.
 
     Returns:
         The poses, bit for bit the same for any order of the links and any number of threads.
@@ -119,9 +121,9 @@ def place(
     at_least(count, "count", 0)
     with torch_on_one_thread():
         graph = site_graph(links, known, count)
-        likely = (graph.evidence >= _FAINT).nonzero()[:, 0]
+        likely = (graph.evidence >= min(_FAINT, -doubt)).nonzero()[:, 0]
         some = graph.take(likely)
-        start = choose(some, agreeing_triangles(some, tolerance), tolerance, sight)
+        start = choose(some, agreeing_triangles(some, tolerance), tolerance, sight, doubt)
         settled = _settled(graph, start.poses, likely[start.believed], tolerance)
         return _placement(graph, links, settled, tolerance)
 

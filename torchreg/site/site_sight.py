@@ -7,9 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect
 from torchreg.geometry.se3 import apply
-from torchreg.site.panorama import Panorama, looked_at
+from torchreg.site.panorama import Compared, Neutral, Panorama, compared
 from torchreg.site.sight import NEAR, Stations, between
 
 _FINE = 0.5  # spacings: poses are asked once for every cell of that size
@@ -25,9 +24,13 @@ class SiteSight:
 
     def __init__(self, panoramas: Callable[[int], Panorama | None], count: int) -> None:
         self._panoramas, self._count = panoramas, count
-        self.stations = Stations()
+        self.forget()
         self._known: dict[int, Panorama | None] = {}
-        self._odds: dict[tuple[int, int, tuple[float, ...]], float] = {}
+        self._compared: dict[tuple[int, int, tuple[float, ...]], Compared] = {}
+
+    def forget(self) -> None:
+        """Forget what was learned of the site: how far apart stations stand, and what right poses look like."""
+        self.stations, self.neutral = Stations(), Neutral()
 
     def has(self, node: int) -> bool:
         """Whether a node of the graph is a scan whose scanner's place is known."""
@@ -35,9 +38,7 @@ class SiteSight:
 
     def scanner(self, scan: int) -> Tensor:
         """The place (3,) of a scanner that is known, in the frame of the scan's file."""
-        panorama = self.of(scan)
-        expect(panorama is not None, "scan", "one whose scanner's place is known", scan)
-        return panorama.scanner  # type: ignore[union-attr]  # just checked
+        return self._panorama(scan).scanner
 
     def of(self, scan: int) -> Panorama | None:
         """What the scanner of a scan saw."""
@@ -46,20 +47,31 @@ class SiteSight:
         return self._known[scan]
 
     def odds(self, source: int, target: int, T_target_source: Tensor) -> float:
-        """Log-odds for a pose, or against it, from what both saw and from where they would stand.
-
-        Of poses in one cell of half a spacing those of the first that was asked.
-        """
+        """Log-odds for a pose, or against it, from what both saw and from where they would stand."""
         one, other = self.of(source), self.of(target)
         if one is None or other is None:
             return 0.0
         apart = between(one, other, T_target_source)
         if apart > NEAR:
             return 0.0
+        return self.neutral.odds(self.compared(source, target, T_target_source)) + self.stations.odds(apart)
+
+    def compared(self, source: int, target: int, T_target_source: Tensor) -> Compared:
+        """What two scanners of known places saw under a pose.
+
+        Of poses in one cell of half a spacing that of the first that was asked.
+        """
+        one, other = self._panorama(source), self._panorama(target)
         fine = _FINE * max(one.spacing, other.spacing)
         shift = (apply(T_target_source, one.scanner[None])[0] - other.scanner) / fine
         turn = T_target_source[:3, :3] * (max(one.reach, other.reach) / fine)
         key = (source, target, tuple(torch.cat([shift, turn.flatten()]).round_().tolist()))
-        if key not in self._odds:
-            self._odds[key] = looked_at(one, other, T_target_source)
-        return self._odds[key] + self.stations.odds(apart)
+        if key not in self._compared:
+            self._compared[key] = compared(one, other, T_target_source)
+        return self._compared[key]
+
+    def _panorama(self, scan: int) -> Panorama:
+        panorama = self.of(scan)
+        if panorama is None:
+            raise ValueError(f"scan: expected one whose scanner's place is known, got {scan}")
+        return panorama

@@ -7,7 +7,7 @@ as far as links can be trusted                     ``trust``
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from torch import Tensor
 from torchreg.refinement.surfels import Surfels, surfels_of
 from torchreg.site.frame import Framed, SiteFrame, frame_of, judged
 from torchreg.site.joint import refine_together
+from torchreg.site.links import Link
 from torchreg.site.pairs import DescriptionKey, PairPlan, Report, SitePair, SiteProgress
 from torchreg.site.panorama import Panorama
 from torchreg.site.result import SiteLink, SiteResult
@@ -25,7 +26,7 @@ from torchreg.site.scans import SiteScans
 from torchreg.site.site_sight import SiteSight
 from torchreg.site.sketches import Sketch, votes
 from torchreg.site.tolerance import Tolerance
-from torchreg.site.trust import Trusted, placed
+from torchreg.site.trust import Trusted, placed, roughly_placed
 from torchreg.site.work import PairFound, SiteWork
 from torchreg.types import Clouds
 
@@ -78,7 +79,7 @@ class _Solver:
     def solved(self) -> SiteResult:
         if self.plan.is_whole:
             self._register(self.plan.all_pairs())
-            trusted = self._placed()
+            trusted = self._placed(placed)
         else:
             trusted = self._in_rounds()
         return self._result(trusted, self._refined(trusted))
@@ -100,11 +101,13 @@ class _Solver:
         for _ in range(_ROUNDS):
             chosen = wanted[: most - len(self.found)]
             self._register(self.plan.ordered((usable[a], usable[b]) for a, b in chosen))
-            trusted = self._placed()
-            wanted = next_pairs(prospects.votes, prospects.sketches, self._standing(trusted, number))
-            if not wanted or len(self.found) >= most:
+            if len(self.found) >= most:
                 break
-        return trusted
+            standing = self._standing(self._placed(roughly_placed), number)
+            wanted = next_pairs(prospects.votes, prospects.sketches, standing)
+            if not wanted:
+                break
+        return self._placed(placed)
 
     def _prospects(self) -> Prospects:
         """The votes of all pairs, and a sketch of every usable scan."""
@@ -152,11 +155,11 @@ class _Solver:
         failed = sum(not one.tried.success for one in self.found.values())
         self.report(SiteProgress("register", len(self.found), total, failed))
 
-    def _placed(self) -> Trusted:
+    def _placed(self, place: Callable[[Sequence[Sequence[Link]], int, Tolerance, SiteSight], Trusted]) -> Trusted:
         begin = time.perf_counter()
         self.report(SiteProgress("place", 0, len(self.scans)))
         candidates = [self.found[pair].links for pair in self._tried()]
-        trusted = placed(candidates, len(self.scans), self._tolerance, self.sight)
+        trusted = place(candidates, len(self.scans), self._tolerance, self.sight)
         self.report(SiteProgress("place", len(self.scans), len(self.scans)))
         self._spent("placing", begin)
         return trusted

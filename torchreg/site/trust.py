@@ -9,8 +9,9 @@ from typing import NamedTuple
 from torchreg.site.doubt import doubt
 from torchreg.site.found import with_odds
 from torchreg.site.links import Link
+from torchreg.site.panorama import learned_neutral
 from torchreg.site.placement import Placement, place
-from torchreg.site.sight import Stations, learned_stations
+from torchreg.site.sight import learned_stations
 from torchreg.site.site_sight import SiteSight
 from torchreg.site.tolerance import Tolerance
 
@@ -33,20 +34,65 @@ def placed(
 ) -> Trusted:
     """Place scans by the candidates of every pair; where links contradict each other, all are trusted less.
 
-    Where scanners are witnesses, the links that can be believed tell how far apart they stand, and all are weighed
-    again by that.
+    Where scanners are witnesses, and links do not contradict each other without them, what scanners saw under these
+    links is taken for usual on this site, and speaks for other poses. The links that hold the poses then tell how far
+    apart scanners stand, and all are weighed again by that.
     """
-    if sight is not None:
-        sight.stations = Stations()  # as nothing is known of them yet: what follows depends on the candidates alone
+    if sight is None:
+        return _doubted(candidates, count, tolerance, None)
+    sight.forget()  # what follows depends on the candidates alone
+    _learn_neutral(sight, _doubted(candidates, count, tolerance, None))
     trusted = _doubted(candidates, count, tolerance, sight)
-    for _ in range(_SURVEYS if sight is not None else 0):
-        used = zip(trusted.links, trusted.placement.used.tolist(), strict=True)
-        learned = learned_stations([link.apart for link, is_used in used if is_used and link.sight > _BELIEVED])
-        if sight is None or learned is None or abs(learned.apart - sight.stations.apart) < _SAME * learned.apart:
+    for _ in range(_SURVEYS):
+        if not _learns_stations(sight, trusted):
             break
-        sight.stations = learned
         trusted = _doubted(candidates, count, tolerance, sight)
+    return _completed(trusted, count, tolerance, sight)
+
+
+def roughly_placed(
+    candidates: Sequence[Sequence[Link]], count: int, tolerance: Tolerance, sight: SiteSight | None = None
+) -> Trusted:
+    """As ``placed``, by what was learned of the stations from fewer candidates before: to see what is still missing."""
+    trusted = _doubted(candidates, count, tolerance, sight)
+    if sight is not None:
+        _learns_stations(sight, trusted)
     return trusted
+
+
+def _completed(trusted: Trusted, count: int, tolerance: Tolerance, sight: SiteSight) -> Trusted:
+    """With what doubted links add that scanners speak for; how much is doubted is settled before."""
+    if trusted.doubt == 0:
+        return trusted
+    whole = place(trusted.links, count, tolerance=tolerance, sight=sight, doubt=trusted.doubt)
+    return trusted._replace(placement=whole)
+
+
+def _learn_neutral(sight: SiteSight, trusted: Trusted) -> None:
+    """Learn what right poses look like from links that loops confirm, where links do not contradict each other.
+
+    Depth cameras are moved by hand and drift in exposure and depth: their right poses look worse than those of
+    scanners that stand still and see all around, for which nothing is learned.
+    """
+    placement = trusted.placement
+    confirmed = (placement.used & (placement.loops > 0)).tolist()
+    links = [link for link, believed in zip(trusted.links, confirmed, strict=True) if believed]
+    scanners = {scan: sight.of(scan) for link in links for scan in (link.source, link.target)}
+    if trusted.doubt > 0 or any(panorama is None or panorama.is_around for panorama in scanners.values()):
+        return
+    learned = learned_neutral([sight.compared(link.source, link.target, link.T_target_source) for link in links])
+    if learned is not None:
+        sight.neutral = learned
+
+
+def _learns_stations(sight: SiteSight, trusted: Trusted) -> bool:
+    """Learn from the links that hold the poses how far apart scanners stand; whether that is news."""
+    used = zip(trusted.links, trusted.placement.used.tolist(), strict=True)
+    learned = learned_stations([link.apart for link, is_used in used if is_used and link.sight > _BELIEVED])
+    if learned is None or abs(learned.apart - sight.stations.apart) < _SAME * learned.apart:
+        return False
+    sight.stations = learned
+    return True
 
 
 def _doubted(
