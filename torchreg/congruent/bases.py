@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.congruent.sides import Side, cross, dot, unit
+from torchreg.congruent.sides import CloudSide, cross, dot, unit
 from torchreg.geometry.numerics.chunks import row_chunks
 
 _TRIANGLES = 64  # random ones, of which a base takes the largest
@@ -37,7 +37,7 @@ class Bases(NamedTuple):
         return Bases(self.corners[:, rows], self.ratios[:, rows])
 
 
-def draw_bases(side: Side, count: int, widest: float, tolerance: float, generator: torch.Generator) -> Bases:
+def draw_bases(side: CloudSide, count: int, widest: float, tolerance: float, generator: torch.Generator) -> Bases:
     """Draw at most ``count`` bases, no side of which is wider than ``widest``, flat within ``tolerance``, meters."""
     number, points = side.points.shape[1], side.points
     # on the CPU, so that every device gets the same draws

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchreg.congruent.bases import Bases
-from torchreg.congruent.sides import Side, Tolerances, dot, unit
+from torchreg.congruent.sides import CloudSide, Tolerances, dot, unit
 from torchreg.geometry.numerics.chunks import row_chunks
 
 _ELEMENTS = 1 << 20
@@ -39,7 +39,7 @@ class FoundPairs(NamedTuple):
     second: Tensor  # (F,) int64
 
 
-def pair_table(side: Side, shortest: float, longest: float) -> PairTable:
+def pair_table(side: CloudSide, shortest: float, longest: float) -> PairTable:
     """The pairs whose distance is in [``shortest``, ``longest``], meters."""
     points, number = side.points, side.points.shape[1]
     rows_of, lengths = [], []
@@ -59,7 +59,7 @@ def pair_table(side: Side, shortest: float, longest: float) -> PairTable:
 
 
 def found_pairs(
-    table: PairTable, source: Side, target: Side, bases: Bases, diagonal: int, within: Tolerances
+    table: PairTable, source: CloudSide, target: CloudSide, bases: Bases, diagonal: int, within: Tolerances
 ) -> FoundPairs:
     """The pairs of the target, in either direction, that agree with a diagonal (0 or 1) of every base."""
     a, b = bases.corners[2 * diagonal : 2 * diagonal + 2]  # (B,)
@@ -87,7 +87,9 @@ def found_pairs(
     return FoundPairs(base, first, second)
 
 
-def rarest(table: PairTable, source: Side, target: Side, bases: Bases, within: Tolerances, count: int) -> Bases:
+def rarest(
+    table: PairTable, source: CloudSide, target: CloudSide, bases: Bases, within: Tolerances, count: int
+) -> Bases:
     """The ``count`` bases that the fewest pairs agree with, rarest first, by an even choice of the table.
 
     The work for a base, and the poses that it proposes by chance, grow with the product of both diagonals' pairs.
@@ -110,7 +112,7 @@ def runs(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
     return run, torch.arange(len(run), device=low.device) - begin[run] + low[run]
 
 
-def _angles(side: Side, first: Tensor, second: Tensor) -> Tensor | None:
+def _angles(side: CloudSide, first: Tensor, second: Tensor) -> Tensor | None:
     """(3, K) of pairs of rows (K,)."""
     if side.normals is None:
         return None

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.congruent.bases import Bases
 from torchreg.congruent.sets import CongruentSets
-from torchreg.congruent.sides import Side, Tolerances, dot
+from torchreg.congruent.sides import CloudSide, Tolerances, dot
 from torchreg.geometry.best_rotation import best_rotation, best_translation
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather_columns
@@ -32,26 +32,26 @@ _KEPT = 512  # poses that stay after the first count
 _PARTS = 1 << 10  # that a point's worth is counted in
 
 
-class Poses(NamedTuple):
+class ScoredPoses(NamedTuple):
     """H poses, x_target = R x_source + t about the centers of both sides."""
 
     rotation: Tensor  # (3, 3, H) float64
     translation: Tensor  # (3, H) float64, meters
     score: Tensor  # (H,) float64 in [0, 1], the higher, the better
 
-    def take(self, rows: Tensor) -> Poses:
+    def take(self, rows: Tensor) -> ScoredPoses:
         """The poses ``rows`` (K,), in that order."""
-        return Poses(self.rotation[..., rows], self.translation[:, rows], self.score[rows])
+        return ScoredPoses(self.rotation[..., rows], self.translation[:, rows], self.score[rows])
 
-    def best(self, count: int) -> Poses:
+    def best(self, count: int) -> ScoredPoses:
         """The first ``count`` by score, ties to the earlier."""
         return self.take(self.score.sort(descending=True, stable=True).indices[:count])
 
 
-class Counter:
+class CommonPoints:
     """Counts points of the source that lie on the target."""
 
-    def __init__(self, source: Side, target: Side, within: Tolerances) -> None:
+    def __init__(self, source: CloudSide, target: CloudSide, within: Tolerances) -> None:
         number = source.points.shape[1]
         self._source, self._target, self._within = source, target, within
         limit = torch.tensor([within.meters], dtype=torch.float64, device=source.points.device)
@@ -61,15 +61,15 @@ class Counter:
             for most in (_FEW, _MANY)
         )
 
-    def roughly(self, poses: Poses) -> Poses:
+    def roughly(self, poses: ScoredPoses) -> ScoredPoses:
         """The poses scored by how many of a few points come near the target."""
         return poses._replace(score=self._counted(poses, self._few, self._near))
 
-    def exactly(self, poses: Poses) -> Poses:
+    def exactly(self, poses: ScoredPoses) -> ScoredPoses:
         """The poses scored by how closely many points come to partners that face the same way."""
         return poses._replace(score=self._counted(poses, self._many, self._facing))
 
-    def _counted(self, poses: Poses, rows: Tensor, count: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:
+    def _counted(self, poses: ScoredPoses, rows: Tensor, count: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:
         parts = [poses.score[:0]]
         for part in row_chunks(len(poses.score), len(rows), _ELEMENTS):
             rotation = poses.rotation[..., part].float()
@@ -113,8 +113,13 @@ def moved_by(rotation: Tensor, translation: Tensor, points: Tensor) -> Tensor:
 
 
 def poses_of_sets(
-    source: Side, target: Side, bases: Bases, sets: Iterable[CongruentSets], within: Tolerances, counter: Counter
-) -> tuple[Poses, int, int]:
+    source: CloudSide,
+    target: CloudSide,
+    bases: Bases,
+    sets: Iterable[CongruentSets],
+    within: Tolerances,
+    counter: CommonPoints,
+) -> tuple[ScoredPoses, int, int]:
     """The best poses of all sets by a rough count, how many sets there were, and how many of them gave a pose."""
     best = no_poses(source.points.device)
     found = fitting = 0
@@ -127,7 +132,7 @@ def poses_of_sets(
     return best, found, fitting
 
 
-def distinct(poses: Poses, source: Side, radius: float, count: int) -> Poses:
+def distinct(poses: ScoredPoses, source: CloudSide, radius: float, count: int) -> ScoredPoses:
     """At most ``count`` poses, best first, that move the source apart by ``radius``, meters, root mean square."""
     poses = poses.best(len(poses.score))
     vectors = pose_vectors(poses.rotation, poses.translation, source.points.double())
@@ -135,18 +140,18 @@ def distinct(poses: Poses, source: Side, radius: float, count: int) -> Poses:
     return poses.take(spread_out(vectors, pair, [radius], count))
 
 
-def joined(one: Poses, other: Poses) -> Poses:
+def joined(one: ScoredPoses, other: ScoredPoses) -> ScoredPoses:
     """Those of both, in order."""
-    return Poses(*(torch.cat(parts, dim=-1) for parts in zip(one, other, strict=True)))
+    return ScoredPoses(*(torch.cat(parts, dim=-1) for parts in zip(one, other, strict=True)))
 
 
-def no_poses(device: torch.device) -> Poses:
+def no_poses(device: torch.device) -> ScoredPoses:
     """Poses of which there are none."""
     zero = torch.zeros(0, dtype=torch.float64, device=device)
-    return Poses(zero.reshape(3, 3, 0), zero.reshape(3, 0), zero)
+    return ScoredPoses(zero.reshape(3, 3, 0), zero.reshape(3, 0), zero)
 
 
-def _solved(source: Side, target: Side, bases: Bases, sets: CongruentSets, within: Tolerances) -> Poses:
+def _solved(source: CloudSide, target: CloudSide, bases: Bases, sets: CongruentSets, within: Tolerances) -> ScoredPoses:
     """The poses of sets whose corners come together and face the same way."""
     mine = bases.corners[:, sets.base]  # (4, S)
     p, q = source.points[:, mine].double(), target.points[:, sets.corners].double()  # (3, 4, S)
@@ -163,7 +168,7 @@ def _solved(source: Side, target: Side, bases: Bases, sets: CongruentSets, withi
     rows = fits.nonzero()[:, 0]
     rotation = rotation[..., rows]
     translation = best_translation(rotation, p_mean[:, rows], q_mean[:, rows])
-    return Poses(rotation, translation, torch.zeros(len(rows), dtype=torch.float64, device=rows.device))
+    return ScoredPoses(rotation, translation, torch.zeros(len(rows), dtype=torch.float64, device=rows.device))
 
 
 def _turned(rotation: Tensor, vectors: Tensor) -> Tensor:

@@ -11,9 +11,9 @@ from torch import Tensor
 from torchreg.congruent.bases import draw_bases
 from torchreg.congruent.options import Super4pcsOptions
 from torchreg.congruent.pairs import found_pairs, pair_table, rarest
-from torchreg.congruent.poses import Counter, Poses, distinct, joined, no_poses, poses_of_sets
+from torchreg.congruent.poses import CommonPoints, ScoredPoses, distinct, joined, no_poses, poses_of_sets
 from torchreg.congruent.sets import congruent_sets
-from torchreg.congruent.sides import Side, Tolerances, diameter, side_of
+from torchreg.congruent.sides import CloudSide, Tolerances, diameter, side_of
 from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.refinement.icp import refine_pairs
 from torchreg.refinement.options import IcpOptions
@@ -56,7 +56,7 @@ def search_pair(
         colors=math.inf if options.color_distance is None else options.color_distance,
         signed=signed,
     )
-    counter = Counter(one, other, within)
+    counter = CommonPoints(one, other, within)
     poses, counts = _searched(one, other, options, within, counter, torch.Generator().manual_seed(seed))
     if len(poses.score) == 0:
         text = (
@@ -85,13 +85,13 @@ def search_pair(
 
 
 def _searched(
-    source: Side,
-    target: Side,
+    source: CloudSide,
+    target: CloudSide,
     options: Super4pcsOptions,
     within: Tolerances,
-    counter: Counter,
+    counter: CommonPoints,
     generator: torch.Generator,
-) -> tuple[Poses, _Counts]:
+) -> tuple[ScoredPoses, _Counts]:
     """The best poses of all bases, or of as many as it takes to find the assumed overlap."""
     widest = options.overlap * diameter(source)
     drawn = draw_bases(source, _DRAWN * options.bases, widest, within.meters / 2, generator)
@@ -110,7 +110,9 @@ def _searched(
     return best, counts
 
 
-def _refined(poses: Poses, source: Side, target: Side, within: Tolerances, counter: Counter) -> Poses:
+def _refined(
+    poses: ScoredPoses, source: CloudSide, target: CloudSide, within: Tolerances, counter: CommonPoints
+) -> ScoredPoses:
     """The poses after ICP, each as it was where that lowers its score."""
     number = len(poses.score)
     clouds = [Clouds(points=side.points.t(), normals=_rows(side.normals)) for side in (source, target)]
@@ -123,7 +125,7 @@ def _refined(poses: Poses, source: Side, target: Side, within: Tolerances, count
         [IcpOptions(kind=kind, max_distance=_REACH * within.meters, iterations=_ITERATIONS)] * number,
     )
     T = result.T_target_source
-    moved = Poses(T[:, :3, :3].permute(1, 2, 0).contiguous(), T[:, :3, 3].t().contiguous(), poses.score)
+    moved = ScoredPoses(T[:, :3, :3].permute(1, 2, 0).contiguous(), T[:, :3, 3].t().contiguous(), poses.score)
     moved = counter.exactly(moved)
     rows = torch.arange(number, device=poses.score.device)
     return joined(poses, moved).take(torch.where(moved.score > poses.score, rows + number, rows))

@@ -18,10 +18,12 @@ from torch import Tensor
 
 from torchreg.congruent.bases import Bases
 from torchreg.congruent.pairs import FoundPairs, runs
-from torchreg.congruent.sides import Side, dot
+from torchreg.congruent.sides import CloudSide, dot
+from torchreg.solvers.points import ranks
 
 _MOST = 64  # cells along an axis
 _CANDIDATES = 1 << 21  # pairs of crossings compared at once
+_MOST_OF_BASE = 1 << 19  # of one base: of a plane, nearly all are congruent
 _SIDES = ((0, 2), (0, 3), (1, 2), (1, 3))
 
 
@@ -33,7 +35,7 @@ class CongruentSets(NamedTuple):
 
 
 def congruent_sets(
-    source: Side, target: Side, bases: Bases, pairs: tuple[FoundPairs, FoundPairs], tolerance: float
+    source: CloudSide, target: CloudSide, bases: Bases, pairs: tuple[FoundPairs, FoundPairs], tolerance: float
 ) -> Iterator[CongruentSets]:
     """Yield the sets of all bases, in parts; ``tolerance``, meters, is of lengths and between crossings."""
     one, other = (
@@ -55,6 +57,9 @@ def congruent_sets(
     around = [x * strides[0] + y * strides[1] for x, y in product((-1, 0, 1), repeat=2)]
     first = torch.stack([begins[cells[0] + step - 1] for step in around])  # (9, F)
     last = torch.stack([begins[cells[0] + step + 2] for step in around])
+    kept = _within_limit((last - first).sum(dim=0), pairs[0].base, number)
+    first, last, one = first[:, kept], last[:, kept], one[:, kept]
+    mine_of = FoundPairs(*(part[kept] for part in pairs[0]))
     lengths = _side_lengths(source, bases.corners)  # (4, B)
     for rows in _by_work((last - first).sum(dim=0)):
         run, member = runs(first[:, rows].flatten(), last[:, rows].flatten())
@@ -66,12 +71,12 @@ def congruent_sets(
         corners = torch.stack(
             [pairs[0].first[mine], pairs[0].second[mine], pairs[1].first[theirs], pairs[1].second[theirs]]
         )
-        base = pairs[0].base[mine]
+        base = mine_of.base[mine]
         fit = ((_side_lengths(target, corners) - lengths[:, base]).abs().amax(dim=0) <= tolerance).nonzero()[:, 0]
         yield CongruentSets(base[fit], corners[:, fit])
 
 
-def _crossings(target: Side, found: FoundPairs, ratio: Tensor) -> Tensor:
+def _crossings(target: CloudSide, found: FoundPairs, ratio: Tensor) -> Tensor:
     """(3, F), where the other diagonal crosses the pairs; ``ratio`` (B,) of every base."""
     begin, end = target.points[:, found.first], target.points[:, found.second]
     return begin + ratio[found.base] * (end - begin)
@@ -83,11 +88,18 @@ def _cells(points: Tensor, low: Tensor, width: float, strides: tuple[int, int, i
     return place[0] * strides[0] + place[1] * strides[1] + place[2] * strides[2]
 
 
-def _side_lengths(side: Side, corners: Tensor) -> Tensor:
+def _side_lengths(side: CloudSide, corners: Tensor) -> Tensor:
     """(4, S) of corners (4, S)."""
     points = side.points[:, corners]  # (3, 4, S)
     apart = torch.stack([points[:, a] - points[:, b] for a, b in _SIDES], dim=1)
     return dot(apart, apart).sqrt()
+
+
+def _within_limit(work: Tensor, base: Tensor, number: int) -> Tensor:
+    """Rows of pairs (F,) with this much work that are looked at: of bases that have too much, an even choice."""
+    total = torch.zeros(number, dtype=torch.int64, device=work.device).index_add_(0, base, work)
+    step = (total + _MOST_OF_BASE - 1).div(_MOST_OF_BASE, rounding_mode="floor").clamp(min=1)
+    return (ranks(base) % step[base] == 0).nonzero()[:, 0]
 
 
 def _by_work(work: Tensor) -> Iterator[slice]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchreg.types import Clouds
 
 
-class Side(NamedTuple):
+class CloudSide(NamedTuple):
     """N points of one cloud."""
 
     points: Tensor  # (3, N) float32, meters, about ``center``
@@ -29,11 +29,11 @@ class Tolerances(NamedTuple):
     signed: bool  # whether the sides of surfaces are known, else normals may be reversed
 
 
-def side_of(cloud: Clouds) -> Side:
+def side_of(cloud: Clouds) -> CloudSide:
     """One cloud, a batch of one with at least one point."""
     wide = cloud.points.double()
     center = (wide.amin(dim=0) + wide.amax(dim=0)) / 2
-    return Side(
+    return CloudSide(
         points=(wide - center).float().t().contiguous(),
         normals=None if cloud.normals is None else cloud.normals.float().t().contiguous(),
         colors=None if cloud.colors is None else cloud.colors.float().t().contiguous(),
@@ -58,7 +58,7 @@ def unit(vectors: Tensor) -> Tensor:
     return vectors / torch.where(length > 0, length, torch.ones_like(length))
 
 
-def diameter(side: Side) -> float:
+def diameter(side: CloudSide) -> float:
     """Meters, of the bounding box."""
     extent = (side.points.amax(dim=1) - side.points.amin(dim=1)).double()
     return math.sqrt(float(dot(extent, extent)))
