@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from common import DOCS, REAL, RESULTS, ROOT, bench_parser, in_words, listed_pairs, machine, save, table
+from common import REAL, RESULTS, ROOT, bench_parser, in_words, listed_pairs, machine, publish, save, table
 
 import torchreg as tr
 from torchreg.benchmark.core.real_pairs import RealPair, read_real_pairs
@@ -46,12 +46,12 @@ def main() -> None:
     if arguments.saved:
         content = json.loads((RESULTS / "super4pcs.json").read_text())
     else:
-        content = {"machine": machine(), "rows": measured(arguments.opengr)}
+        content: dict[str, Any] = {"machine": machine(), "rows": measured(arguments.opengr)}
         save("super4pcs", content)
     text = f"{summary(content['rows'])}\n\n{in_words(content['machine'])}."
     print(text)
     if not arguments.no_docs:
-        publish(text)
+        publish("super4pcs", text)
 
 
 def measured(program: Path | None) -> list[dict[str, Any]]:
@@ -136,14 +136,6 @@ def summary(rows: list[dict[str, Any]]) -> str:
 
 def of(rows: list[dict[str, Any]]) -> str:
     return f"{sum(row['found'] for row in rows)} of {len(rows)}"
-
-
-def publish(text: str) -> None:
-    """Write the table between its marks in docs/super4pcs.md."""
-    page = DOCS / "super4pcs.md"
-    begin, end = "<!-- begin: super4pcs -->", "<!-- end: super4pcs -->"
-    before, rest = page.read_text().split(begin)
-    page.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
 
 
 if __name__ == "__main__":
