@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from torchreg import metrics
+from torchreg.congruent import Super4pcsOptions
 from torchreg.descriptors.color import soft_equalize
 from torchreg.descriptors.contrast import Contrast, contrast
 from torchreg.descriptors.descriptor import Descriptor
@@ -54,6 +55,7 @@ from torchreg.registration.outside import KeypointFeatures
 from torchreg.registration.register import register
 from torchreg.registration.register_features import register_features, register_matches
 from torchreg.registration.spacing import spacing
+from torchreg.registration.super4pcs import super4pcs
 from torchreg.registration.verify import verify
 from torchreg.site import SiteResult
 from torchreg.site.register_site import register_site
@@ -100,6 +102,7 @@ __all__ = [
     "SiteResult",
     "SoftCorrespondences",
     "Solver",
+    "Super4pcsOptions",
     "Verification",
     "__version__",
     "augment",
@@ -140,6 +143,7 @@ __all__ = [
     "soft_equalize",
     "soft_match",
     "spacing",
+    "super4pcs",
     "synthetic",
     "to_numpy",
     "to_open3d",

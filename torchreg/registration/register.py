@@ -19,10 +19,10 @@ from torchreg.entry import entry
 from torchreg.errors import expect
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.matching.mutual import match_mutual
-from torchreg.registration.decide import compared, look_again
+from torchreg.registration.decide import Look, compared, look_again
 from torchreg.registration.describe import description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
-from torchreg.registration.inspect import few_points_notes, pair_notes, refusal
+from torchreg.registration.inspect import CloudFacts, few_points_notes, pair_notes, refusal
 from torchreg.registration.matchings import Matched, Matching
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
@@ -34,7 +34,7 @@ from torchreg.registration.trained import BY_OPTIONS, Trained, by_module
 from torchreg.seeds import generator_of
 from torchreg.solvers import Solver, base_seed, result_of_poses
 from torchreg.solvers.batch import poses_of_pairs
-from torchreg.types import Clouds, Correspondences, Features, Proposal, RegistrationResult, StageCounts
+from torchreg.types import Clouds, Correspondences, Failure, Features, Proposal, RegistrationResult, StageCounts
 from torchreg.verification import WORK, ProposedPoses, proposals_of
 from torchreg.verification.given import GivenVerdict, given_poses
 from torchreg.verification.judge import judge_poses
@@ -179,25 +179,60 @@ def find_poses(
     ``T_given`` (B, 4, 4) float64 are poses that compete with those that are found, unless the effort is plain; each
     then gets a verdict of its own.
     """
-    facts = list(zip(source.facts, target.facts, strict=True))
-    refused = [refusal(*both, option) for both, option in zip(facts, options, strict=True)]
-    source, target = source.without(refused), target.without(refused)
+    pairs = usable_pairs(source, target, options)
     drawn = base_seed(generator_of(seed))
-    effort = options[0].effort
     proposed: list[ProposedPoses] = []
-    for recipe in matching.recipes(source, options[0], colored=colored):
-        matched = matching.match(source, target, recipe, options[0], _match)
-        proposed.append(_solve(source, target, matched.matches, recipe, options, drawn))
-        if len(proposed) == 1 and effort in ("balanced", "thorough"):
-            proposed.append(_find_rivals(source, target, matched, proposed[0], options, drawn))
-    competing = proposed if T_given is None else [*proposed, given_poses(source.cloud, target.cloud, T_given, refused)]
+    for recipe in matching.recipes(pairs.source, options[0], colored=colored):
+        matched = matching.match(pairs.source, pairs.target, recipe, options[0], _match)
+        proposed.append(_solve(pairs.source, pairs.target, matched.matches, recipe, options, drawn))
+        if len(proposed) == 1 and options[0].effort in ("balanced", "thorough"):
+            proposed.append(_find_rivals(pairs.source, pairs.target, matched, proposed[0], options, drawn))
+    return conclude(pairs, proposed, options, drawn, matching.look, T_given)
+
+
+class UsablePairs(NamedTuple):
+    """The pairs of one slice, the clouds of those that cannot be registered emptied."""
+
+    source: DescribedClouds
+    target: DescribedClouds
+    facts: tuple[tuple[CloudFacts, CloudFacts], ...]  # of both clouds of every pair as they were given
+    refused: tuple[Failure | None, ...]  # why a pair cannot be registered
+
+
+def usable_pairs(
+    source: DescribedClouds, target: DescribedClouds, options: Sequence[RegistrationOptions]
+) -> UsablePairs:
+    """Empty the clouds of pairs that cannot be registered, so that they do not affect the others."""
+    facts = tuple(zip(source.facts, target.facts, strict=True))
+    refused = tuple(refusal(*both, option) for both, option in zip(facts, options, strict=True))
+    return UsablePairs(source.without(refused), target.without(refused), facts, refused)
+
+
+def conclude(
+    pairs: UsablePairs,
+    proposed: Sequence[ProposedPoses],
+    options: Sequence[RegistrationOptions],
+    drawn: int,
+    look: Look,
+    T_given: Tensor | None = None,
+) -> Found:
+    """Decide among the poses that were proposed, and refine those of pairs that succeed.
+
+    ``drawn`` is the seed of the call as solvers take it, ``look`` what looks again at pairs in doubt; ``T_given`` is as
+    in ``find_poses``.
+    """
+    source, target, facts, refused = pairs
+    effort = options[0].effort
+    competing = (
+        list(proposed) if T_given is None else [*proposed, given_poses(source.cloud, target.cloud, T_given, refused)]
+    )
     given: tuple[GivenVerdict | None, ...] = (None,) * len(source)
     if effort == "plain":
         result = _take_best(source, target, proposed[0], options)
         again = {}
     else:
         judged = _decide(source, target, competing, options)
-        again = look_again(source, target, competing, judged, options, drawn, matching.look)
+        again = look_again(source, target, competing, judged, options, drawn, look)
         last = [again[b].judged if b in again else pair for b, pair in enumerate(judged)]
         result, given = collect(source.cloud, target.cloud, last), tuple(pair.verdict.given for pair in last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]

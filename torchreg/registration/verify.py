@@ -78,7 +78,7 @@ def verify(
     """
     T = _transforms(T_target_source, len(source)).to(source.device)
     with stopwatch() as seconds, undisturbed(source.points):
-        effort = _effort(options, effort)
+        effort = judging_effort(options, effort)
         plan = Plan(source, target, options, effort=effort, solver=None, refine=refine, max_bytes=max_bytes)
         found = []
         for pairs in plan.slices:
@@ -103,7 +103,9 @@ def _transforms(given: Tensor | ArrayLike, pairs: int) -> Tensor:
     return T.expand(pairs, 4, 4)
 
 
-def _effort(options: RegistrationOptions | Sequence[RegistrationOptions] | None, effort: str | None) -> str | None:
+def judging_effort(
+    options: RegistrationOptions | Sequence[RegistrationOptions] | None, effort: str | None
+) -> str | None:
     """An effort at which poses are weighed on the clouds; ``None`` for that of the options."""
     if effort is not None:
         return one_of(effort, "effort", tuple(WORK))
