@@ -21,7 +21,7 @@ from torchreg.refinement.options import KINDS as RECORDS
 from torchreg.refinement.point_to_plane import POINT_TO_PLANE
 
 EYE = torch.eye(4, dtype=torch.float64)
-KINDS = ("point_to_point", "point_to_plane", "colored", "generalized")
+KINDS = ("point_to_point", "point_to_plane", "colored", "generalized", "colored_generalized", "hue_point_to_point")
 
 
 def with_normals(cloud):

@@ -80,7 +80,9 @@ def test_a_rule_that_selects_all_points_changes_no_bit():
 @every_rule
 def test_a_pair_does_not_depend_on_its_batch_nor_on_lengths_beside_it(name):
     pairs = [pair_of(600, seed) for seed in (1, 2)]
-    options = [options_with(KEYPOINTS[name].for_spacing(2 * SPACING), effort="fast").scaled(factor) for factor in (1.0, 1.3)]
+    options = [
+        options_with(KEYPOINTS[name].for_spacing(2 * SPACING), effort="fast").scaled(factor) for factor in (1.0, 1.3)
+    ]
     sides = [tr.Clouds.pack([getattr(pair, side) for pair in pairs]) for side in ("source", "target")]
     both = tr.register(*sides, options)
     for b, (pair, option) in enumerate(zip(pairs, options, strict=True)):
