@@ -2,6 +2,7 @@
 
     python bench/keypoints.py              every rule and pair, at the efforts plain and balanced
     python bench/keypoints.py --pairs 6    the first so many pairs; the documents stay as they are
+    python bench/keypoints.py --saved      the table from bench/results/keypoints.json, nothing measured
 
 Options are derived from the spacing of each pair's points, rules from the same spacing. A pair is found where its pose
 is within 15 degrees and 0.3 m of the truth. Writes bench/results/keypoints.json and docs/benchmarks/keypoints.md.
@@ -9,13 +10,14 @@ is within 15 degrees and 0.3 m of the truth. Writes bench/results/keypoints.json
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 from statistics import median
 from typing import Any
 
 import torch
-from common import REAL, bench_parser, in_words, listed_pairs, machine, publish, save, table
+from common import REAL, RESULTS, bench_parser, in_words, listed_pairs, machine, publish, save, table
 
 import torchreg as tr
 from torchreg.keypoints import KEYPOINTS
@@ -79,14 +81,17 @@ def row(rows: list[dict[str, Any]]) -> list[str]:
 def main() -> None:
     parser = bench_parser(__doc__)
     parser.add_argument("--pairs", type=int, help="only the first so many pairs")
+    parser.add_argument("--saved", action="store_true", help="write the table from saved results, nothing measured")
     arguments = parser.parse_args()
-    pairs = listed_pairs()[: arguments.pairs]
-    rows = [one for pair in pairs for one in measured(pair)]
+    if arguments.saved:
+        saved = json.loads((RESULTS / "keypoints.json").read_text())
+        facts, rows = saved["machine"], saved["rows"]
+    else:
+        facts, rows = machine(), [one for pair in listed_pairs()[: arguments.pairs] for one in measured(pair)]
     head = ["effort", "matched", "pairs found", "wrong, called right", "right, refused", "matches"]
     head += ["keypoints", "matching and hypotheses", "the whole"]
     groups = [(effort, rule) for effort in EFFORTS for rule in RULES]
     text = table(head, [row([one for one in rows if (one["effort"], one["rule"]) == group]) for group in groups])
-    facts = machine()
     print(text)
     if arguments.pairs is None:
         save("keypoints", {"machine": facts, "rows": rows})
