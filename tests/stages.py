@@ -181,7 +181,7 @@ STAGES: dict[str, Stage] = {
         transfers=260,
         atol=1e-9,
     ),
-    **{f"icp, {kind}": Stage(run=partial(_icp, kind), transfers=8 * 30, atol=1e-9, on_gpu=1e-6) for kind in KINDS},
+    **{f"icp, {kind}": Stage(run=partial(_icp, kind), transfers=12 * 30, atol=1e-9, on_gpu=1e-6) for kind in KINDS},
     "surfels": Stage(run=lambda g: surfels_of(g.source, 400), transfers=20, atol=1e-4),
     "describe": Stage(
         run=lambda g: describe_clouds(g.source, tr.options_for(0.1)).features, transfers=60, atol=1e-2, share=0.02

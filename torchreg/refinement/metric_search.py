@@ -40,10 +40,11 @@ class MetricSearch:
 
     def __call__(self, queries: Tensor) -> Tensor:
         """The rows (Q, count) of the nearest, ascending by (distance, row)."""
-        out = torch.empty(len(queries), self._count, dtype=torch.int64, device=queries.device)
-        rows = torch.arange(len(queries), device=queries.device)
-        width, total = _FIRST, self._axes.shape[1]
-        while self._in_space is not None and len(rows) > 0 and width <= MOST:
+        if self._in_space is None:
+            return self._among_all(queries)
+        out = torch.empty(len(queries), self._count, dtype=torch.int64)
+        rows, width, total = torch.arange(len(queries)), _FIRST, self._axes.shape[1]
+        while len(rows) > 0 and width <= MOST:
             asked, width = queries[rows], min(width, total)
             near = self._in_space(asked[:, :3].contiguous(), width)  # (R, K)
             best, index = self._ranked(asked, near)
@@ -52,10 +53,15 @@ class MetricSearch:
             bound = _sum_of_squares(farthest) * (1 - _ROUNDING)
             rows = rows[(bound <= best[:, -1]) & (width < total)]
             width *= 2
-        for part in rows.split(max(1, _MAX_BYTES // (8 * len(self._axes) * total))):
-            every = torch.arange(total, device=queries.device).expand(len(part), total)
-            out[part] = self._ranked(queries[part], every)[1]
+        out[rows] = self._among_all(queries[rows])
         return out
+
+    def _among_all(self, queries: Tensor) -> Tensor:
+        """The rows (Q, count) of the nearest, every query being compared with every point."""
+        total = self._axes.shape[1]
+        every = torch.arange(total, device=queries.device)
+        parts = queries.split(max(1, _MAX_BYTES // (8 * len(self._axes) * total)))
+        return torch.cat([self._ranked(part, every.expand(len(part), total))[1] for part in parts])
 
     def _ranked(self, queries: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Of the rows (R, K) the nearest of every query: squared distances and rows (R, count)."""
