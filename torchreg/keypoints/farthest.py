@@ -37,6 +37,7 @@ def farthest_keypoints(cloud: Clouds, count: int) -> KeypointRows:
         ValueError: ``count`` below 1.
 
     Example:
+        >>> import torch
         >>> cloud = Clouds(points=torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
         >>> farthest_keypoints(cloud, 2).rows
         tensor([0, 2])

@@ -80,7 +80,6 @@ def iss_keypoints(
         ValueError: shapes that do not fit, a ratio or radius not above 0, or ``non_max_radius`` above that of ``near``.
 
     Example:
-        >>> corner = torch.cat([torch.eye(3)[[i, j]] for i, j in ((0, 1), (1, 2), (2, 0))])  # of three faces
         >>> faces = torch.cat([torch.rand(300, 2) @ torch.eye(3)[[i, j]] for i, j in ((0, 1), (1, 2), (2, 0))])
         >>> from torchreg.neighborhoods import neighbors
         >>> cloud = Clouds(points=faces)
