@@ -29,7 +29,8 @@ from torchreg.refinement.gauss_newton import rotation_zyx
 from torchreg.refinement.icp import icp
 
 ITERATIONS = 30
-KINDS = ("point_to_point", "point_to_plane", "colored", "generalized")
+KINDS = ("point_to_point", "point_to_plane", "colored", "generalized", "colored_generalized", "hue_point_to_point")
+BY_COLOR = ("colored_generalized", "hue_point_to_point")  # which neither of the others has
 HEAD = ["32 pairs", "torchreg, one batch", "Open3D", "small_gicp", "Open3D / torchreg", "small_gicp / torchreg",
         "largest difference in T"]  # fmt: skip
 
@@ -129,8 +130,14 @@ def small_gicp_icp(pairs: list[Start], kind: str, threads: int) -> Callable[[], 
 
 def measured(pairs: list[Start], kind: str, repeats: int, threads: int) -> dict[str, Any]:
     """Seconds of every method, and how far the results agree."""
-    ours, theirs = torchreg_icp(pairs, kind), open3d_icp(pairs, kind)
-    runs: dict[str, Callable[[], Any]] = {"torchreg": ours, "open3d": theirs}
+    ours = torchreg_icp(pairs, kind)
+    runs: dict[str, Callable[[], Any]] = {"torchreg": ours}
+    if kind in BY_COLOR:
+        result = ours()
+        updates, converged = int(result.iterations.sum()), int(result.converged.sum())
+        return {"seconds": interleaved(runs, repeats), "updates": updates, "converged": converged}
+    theirs = open3d_icp(pairs, kind)
+    runs["open3d"] = theirs
     other = small_gicp_icp(pairs, kind, threads)
     if other is not None:
         runs["small_gicp"] = other
@@ -150,15 +157,13 @@ def measured(pairs: list[Start], kind: str, repeats: int, threads: int) -> dict[
 def row(kind: str, figures: dict[str, Any]) -> list[str]:
     seconds = figures["seconds"]
     base = median(seconds["torchreg"])
-    other = seconds.get("small_gicp")
+    others = [seconds.get("open3d"), seconds.get("small_gicp")]
     return [
         f"{kind.replace('_', '-')}, {figures['updates']} updates",
         spread(seconds["torchreg"]),
-        spread(seconds["open3d"]),
-        spread(other) if other else "-",
-        f"{median(seconds['open3d']) / base:.2f}",
-        f"{median(other) / base:.2f}" if other else "-",
-        f"{figures['difference_open3d']:.0e}",
+        *(spread(other) if other else "-" for other in others),
+        *(f"{median(other) / base:.2f}" if other else "-" for other in others),
+        f"{figures['difference_open3d']:.0e}" if "difference_open3d" in figures else "-",
     ]
 
 
@@ -172,7 +177,8 @@ def main() -> None:
         raise SystemExit("OMP_NUM_THREADS and torch disagree: the methods would not get the same threads")
     pairs, what = starts(arguments.pairs)
     points = sum(len(p.source.points) for p in pairs)
-    kinds = [kind for kind in KINDS if kind != "colored" or all(p.source.colors is not None for p in pairs)]
+    colored = all(p.source.colors is not None for p in pairs)
+    kinds = [kind for kind in KINDS if colored or kind not in ("colored", *BY_COLOR)]
     runs = {kind: measured(pairs, kind, arguments.repeats, threads) for kind in kinds}
     head = [f"{len(pairs)} {what}", *HEAD[1:]]
     text = table(head, [row(kind, figures) for kind, figures in runs.items()])

@@ -114,6 +114,10 @@ def _thinned() -> tr.RegistrationOptions:
     return tr.options_for(0.2, voxel_size=0.2)
 
 
+def _on_keypoints() -> tr.RegistrationOptions:
+    return replace(tr.options_for(0.1), keypoints=tr.IssKeypoints.for_spacing(0.2))
+
+
 def _verdict(verification: tr.Verification) -> Any:
     return verification.success, verification.probability
 
@@ -149,6 +153,9 @@ STAGES: dict[str, Stage] = {
     "voxel_downsample": Stage(run=lambda g: tr.voxel_downsample(g.source, 0.2), transfers=4),
     "random_downsample": Stage(run=lambda g: tr.random_downsample(g.source, 300), transfers=0),
     "farthest_point_downsample": Stage(run=lambda g: tr.farthest_point_downsample(g.source, 30), transfers=1),
+    "iss_keypoints": Stage(run=lambda g: tr.iss_keypoints(g.source, g.near, 0.5), transfers=8, on_gpu=1e-9),
+    "uniform_keypoints": Stage(run=lambda g: tr.uniform_keypoints(g.source, 0.4), transfers=8),
+    "farthest_keypoints": Stage(run=lambda g: tr.farthest_keypoints(g.source, 30), transfers=2),
     "spacing": Stage(run=lambda g: tr.spacing(g.source), transfers=20, atol=1e-9),
     "neighbors": Stage(run=lambda g: tr.neighbors(g.source, RADIUS, 60), transfers=10),
     "nearest": Stage(run=lambda g: nearest(g.source.points, g.target.points), transfers=2),
@@ -174,7 +181,7 @@ STAGES: dict[str, Stage] = {
         transfers=260,
         atol=1e-9,
     ),
-    **{f"icp, {kind}": Stage(run=partial(_icp, kind), transfers=8 * 30, atol=1e-9, on_gpu=1e-6) for kind in KINDS},
+    **{f"icp, {kind}": Stage(run=partial(_icp, kind), transfers=12 * 30, atol=1e-9, on_gpu=1e-6) for kind in KINDS},
     "surfels": Stage(run=lambda g: surfels_of(g.source, 400), transfers=20, atol=1e-4),
     "describe": Stage(
         run=lambda g: describe_clouds(g.source, tr.options_for(0.1)).features, transfers=60, atol=1e-2, share=0.02
@@ -184,6 +191,7 @@ STAGES: dict[str, Stage] = {
     "register, fast": _whole(lambda g: _pose(tr.register(g.source, g.target, effort="fast")), 600),
     "register, balanced": _whole(lambda g: _pose(tr.register(g.source, g.target)), 1000),
     "register, thorough": _whole(lambda g: _pose(tr.register(g.source, g.target, effort="thorough")), 5000),
+    "register, on keypoints": _whole(lambda g: _pose(tr.register(g.source, g.target, _on_keypoints())), 1200),
     "register, refined coarsely": _whole(lambda g: _pose(tr.register(g.source, g.target, refine="coarse")), 1100),
     "register, the paper's preset": _whole(lambda g: _pose(tr.register(g.source, g.target, tr.PAPER)), 350),
     "register, a batch": _whole(lambda g: _pose(tr.register(*g.batch)), 2200),

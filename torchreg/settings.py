@@ -18,8 +18,9 @@ from torchreg.errors import at_least, expect, one_of, positive
 from torchreg.io.placement import viewpoint_of_text
 from torchreg.io.reading import Reading
 from torchreg.io.units import UNITS
+from torchreg.keypoints import KEYPOINTS
 from torchreg.registration.options import EFFORTS, LEARNED, PAPER, REFINE_POINTS, REFINEMENTS, RegistrationOptions
-from torchreg.registration.spacing import MAX_POINTS, options_for
+from torchreg.registration.spacing import MAX_POINTS, NORMAL_SPACINGS, options_for
 from torchreg.solvers import SOLVERS, RansacOptions
 
 PRESETS: dict[str, RegistrationOptions | None] = {"default": None, "paper": PAPER, "learned": LEARNED}
@@ -278,6 +279,18 @@ class Settings(StageSettings):
         "Search",
         "What turns matches into poses; by default compatibility, and ransac with the presets paper and learned.",
         choices=tuple(SOLVERS),
+    )
+
+    keypoints: str | None = setting(
+        None,
+        "Search",
+        "Match keypoints alone; by default all points. iss: points of distinct shape. uniform: one point of every cube "
+        "of a grid. farthest: points spread as far apart as so many can be. Their lengths follow from the spacing of "
+        "the points, as that of normals does.",
+        choices=tuple(KEYPOINTS),
+        change=lambda options, value: replace(
+            options, keypoints=KEYPOINTS[value].for_spacing(options.normal_radius / NORMAL_SPACINGS)
+        ),
     )
 
     def _expect_readers(self) -> None:

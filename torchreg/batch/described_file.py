@@ -15,7 +15,7 @@ from torchreg.io.result_json import plain_data
 from torchreg.registration.described import DescribedClouds, Description
 from torchreg.version import __version__
 
-_FORMAT = 8
+_FORMAT = 9
 
 
 def described_name(digest: str, description: Description, device: str) -> str:
@@ -36,7 +36,8 @@ def write_described(path: Path, described: DescribedClouds) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    content = (described.cloud, described.features, described.spacing, described.facts, described.surfels)
+    rows = described.cloud, described.features, described.keypoints
+    content = (*rows, described.spacing, described.facts, described.surfels)
     buffer = io.BytesIO()
     torch.save(content, buffer)
     write_checked(path, buffer.getvalue())
@@ -51,5 +52,6 @@ def read_described(path: Path, description: Description) -> DescribedClouds | No
     body = read_checked(path)
     if body is None:
         return None
-    cloud, features, spacing, facts, surfels = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
-    return DescribedClouds(cloud, features, (description,), spacing, facts, surfels)
+    content = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    cloud, features, keypoints, spacing, facts, surfels = content
+    return DescribedClouds(cloud, features, (description,), spacing, facts, surfels, keypoints=keypoints)

@@ -84,6 +84,8 @@ class Register(nn.Module):
     ) -> None:
         super().__init__()
         self.options = options
+        every = options is None or options.keypoints is None
+        expect(every, "options.keypoints", "None, since all points are matched softly", options)
         self.descriptors = nn.ModuleList(_descriptors_of(options) if descriptors is None else descriptors)
         count = len(self.descriptors)
         expect(count > 0, "descriptors", "at least one", descriptors)

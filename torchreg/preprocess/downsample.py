@@ -52,7 +52,7 @@ class CountedVoxels(NamedTuple):
 
 def counted_voxels(cloud: Clouds, voxel_size: float | Tensor) -> CountedVoxels:
     """As ``voxel_downsample``, with the number of points in every voxel."""
-    sizes = _per_cloud(voxel_size, cloud)
+    sizes = sizes_of_clouds(voxel_size, cloud)
     spans_and_sizes = zip(spans(cloud.offsets), sizes, strict=True)
     parts = [_voxel_rows(cloud, begin, end, size) for (begin, end), size in spans_and_sizes]
 
@@ -125,10 +125,7 @@ def farthest_point_downsample(cloud: Clouds, count: int) -> Clouds:
     at_least(count, "count", 1)
     kept = []
     for begin, end in spans(cloud.offsets):
-        if end - begin <= count:
-            kept.append(torch.arange(begin, end))
-        else:
-            kept.append(begin + _farthest(cloud.points[begin:end].double(), count).cpu())
+        kept.append(begin + farthest_rows(cloud.points[begin:end].double(), count).cpu())
     return _rows(cloud, kept)
 
 
@@ -140,7 +137,10 @@ def draw_seed(generator: torch.Generator | None) -> int:
     return int(torch.randint(2**62, (1,), generator=generator).item())
 
 
-def _farthest(points: Tensor, count: int) -> Tensor:
+def farthest_rows(points: Tensor, count: int) -> Tensor:
+    """Ascending rows of ``count`` points of (P, 3) float64, each the farthest from those before it; of fewer, all."""
+    if len(points) <= count:
+        return torch.arange(len(points), device=points.device)
     x, y, z = (column.contiguous() for column in points.unbind(1))
     chosen = torch.empty(count, dtype=torch.int64, device=points.device)
     mx, my, mz = (column.sort().values.cumsum(0)[-1] / len(points) for column in (x, y, z))
@@ -161,19 +161,19 @@ def _rows(cloud: Clouds, kept: list[Tensor]) -> Clouds:
     return in_morton_order(cloud.rows(index.to(cloud.device), offsets_of(map(len, kept))))
 
 
-def _per_cloud(size: float | Tensor, cloud: Clouds) -> list[float]:
+def sizes_of_clouds(size: float | Tensor, cloud: Clouds) -> list[float]:
+    """The edge of voxels of every cloud, meters, from a number or one per cloud (B,)."""
     if isinstance(size, Tensor):
         expect(size.shape == (len(cloud),), "voxel_size", f"a number or one per cloud ({len(cloud)},)", size)
         return [positive(value, "voxel_size") for value in size.tolist()]
     return [positive(size, "voxel_size")] * len(cloud)
 
 
-def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Mean points, colors and normals (float64) of the voxels of one cloud, and the numbers of their points."""
-    points = cloud.points[begin:end].double()
-    empty = points.new_zeros(0, 3)
-    if begin == end:
-        return empty, empty, empty, empty[:, 0]
+def voxel_numbers(points: Tensor, size: float) -> tuple[Tensor, Tensor]:
+    """Of points (P, 3) float64, P > 0: cells (P, 3), whole numbers, and one number (P,) int64 for each cell.
+
+    The center of a cell is the least coordinates of the points plus ``size``, meters, times the cell.
+    """
     cell = ((points - points.amin(dim=0)) / size + 0.5).floor()
     cells = cell.amax(dim=0) + 1
     expect(
@@ -185,6 +185,16 @@ def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tenso
     grid = cell.long()
     width = cells.long()
     key = (grid[:, 2] * width[1] + grid[:, 1]) * width[0] + grid[:, 0]
+    return cell, key
+
+
+def _voxel_rows(cloud: Clouds, begin: int, end: int, size: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Mean points, colors and normals (float64) of the voxels of one cloud, and the numbers of their points."""
+    points = cloud.points[begin:end].double()
+    empty = points.new_zeros(0, 3)
+    if begin == end:
+        return empty, empty, empty, empty[:, 0]
+    _, key = voxel_numbers(points, size)
     ordered, order = key.sort(stable=True)
     _, number, count = ordered.unique_consecutive(return_inverse=True, return_counts=True)
     divisor = count.double()[:, None]

@@ -86,7 +86,7 @@ def _normals_compiled(points: Tensor, towards: Tensor, near: Neighborhoods) -> T
 
 def _oriented(x: Tensor, y: Tensor, z: Tensor, towards: Tensor, near: Neighborhoods, part: slice) -> Tensor:
     """Normals (r, 3) float64 of some rows, turned to face ``towards`` (r, 3)."""
-    covariance, count = _covariance(x, y, z, near, part)
+    covariance, count = covariances(x, y, z, near, part)
     values, vectors = symmetric_eigen(covariance)
     normal = vectors[..., 0]  # (r, 3): least spread
     if derivative_wanted(covariance):
@@ -130,7 +130,7 @@ def _mean(points: Tensor) -> Tensor:
     return points.mean(dim=0) if torch.compiler.is_compiling() else lane_sums(points, dim=0) / points.shape[0]
 
 
-def _covariance(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, part: slice) -> tuple[Tensor, Tensor]:
+def covariances(x: Tensor, y: Tensor, z: Tensor, near: Neighborhoods, part: slice) -> tuple[Tensor, Tensor]:
     """Covariance (r, 3, 3) float64 of the valid neighbors, and their number (r,)."""
     index, valid = near.index[part], near.valid[part]
     count = valid.sum(dim=1)

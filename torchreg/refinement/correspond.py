@@ -1,5 +1,8 @@
 """Nearest target points of moving source points, searched only where they may have changed.
 
+The nearest are those in space, or in further dimensions too, such as color, which a motion does not change: then a
+point moves no farther in all dimensions than in space, and what follows holds as it stands.
+
 A source point at p had its nearest target points at distances d1 <= d2 <= ... <= dK. Now it is at p', a step
 s = |p' - p| away. Every point but the first is at least d2 - s away now, so as long as the first is nearer than that,
 it still is the nearest. Where it is not, the nearest of the K is the nearest of all if it is nearer than dK - s. And
@@ -27,7 +30,7 @@ FEW = 4
 """Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few searches are repeated."""
 
 Search = Callable[[Tensor], Tensor]
-"""From queries (Q, 3) to the rows of their nearest, (Q, min(FEW, N)), ascending by distance."""
+"""From queries (Q, S) to the rows of their nearest, (Q, min(FEW, N)), ascending by distance."""
 
 _CHUNK_ROWS = 1 << 14  # rows decided at once: what they need stays in the cache
 _ROUNDING = 1e-12  # relative, on distances: a bound that close is not relied on
@@ -37,7 +40,8 @@ _ROUNDING = 1e-12  # relative, on distances: a bound that close is not relied on
 class Target:
     """The target points of all pairs of a batch."""
 
-    values: Tensor  # (A, N) float64: x, y, z about each cloud's center, then the other columns of the kind of ICP
+    # (A, N) float64: x, y, z about each cloud's center, further dimensions of the search, other columns of the kind
+    values: Tensor
     first: tuple[int, ...]  # for every pair, the row of its cloud's first point
     # for every pair, in the points of its cloud; rows count from the first. Pairs may share a cloud
     search: tuple[Search, ...]
@@ -49,12 +53,14 @@ class Correspondence:
     Attributes:
         blocks: n blocks of the active pairs, those still being refined.
         pairs: the numbers of the active pairs in the batch.
-        source: (3, n, 256), source points about their centers.
+        source: (S, n, 256), source points about their centers, and in further dimensions, if there are any, what
+            stays as it is when they move.
         target: the target points of the whole batch.
         max_distance: (B,) meters, of the active pairs.
-        moved: (3, n, 256), source points in the targets' frames.
+        moved: (S, n, 256), source points in the targets' frames.
         partner: (A, n, 256), the target's values at their nearest points.
-        square: (n, 256) squared meters between them; any finite numbers where rows are not inside, and partners too.
+        square: (n, 256) squared meters between them, in all S dimensions; any finite numbers where rows are not inside,
+            and partners too.
         inside: (n, 256) bool, nearer than the largest distance.
     """
 
@@ -62,12 +68,13 @@ class Correspondence:
     _by_row: tuple[str, ...] = ("square", "inside", "_nearest", "_second", "_few", "_others")
 
     def __init__(self, blocks: Blocks, source: Tensor, target: Target, max_distance: Tensor) -> None:
-        """No correspondences yet; source (3, n, 256) about its centers, ``max_distance`` (B,) meters."""
+        """No correspondences yet; source (S, n, 256) about its centers, ``max_distance`` (B,) meters."""
         self.blocks, self.target = blocks, target
         self.pairs = list(range(len(blocks.counts)))
         shape = source.shape[1:]
         self.source, self.max_distance = source, max_distance
         self.moved = torch.zeros_like(source)
+        self.moved[3:] = source[3:]
         self.partner = source.new_zeros(len(target.values), *shape)
         self.square = source.new_zeros(shape)
         self.inside = torch.zeros(shape, dtype=torch.bool, device=source.device)
@@ -84,6 +91,12 @@ class Correspondence:
         self._few = torch.zeros(*shape, FEW, dtype=torch.int64, device=source.device)
         self._others = source.new_full(shape, never)
         self._searched = False
+
+    def apart(self, chunk: slice) -> Tensor:
+        """Squared meters in space (k, 256) between some rows and their partners; finite where rows are not inside."""
+        if len(self.source) == 3:
+            return self.square[chunk]
+        return _square(self.moved[:3, chunk], self.partner[:3, chunk])
 
     def keep(self, which: list[int]) -> Tensor:
         """Keep these of the active pairs, by their places among them; returns the numbers of the blocks that stay."""
@@ -106,9 +119,9 @@ class Correspondence:
         R, t = rotation[self.blocks.pair, :, :, None], translation[self.blocks.pair, :, None]
         pending = torch.empty_like(self.inside)
         for chunk in self.blocks.chunks():
-            moved = self.moved[:, chunk]  # (3, k, 256), written in place
+            moved = self.moved[:, chunk]  # (S, k, 256), written in place
             _transform(self.source[:, chunk], R[chunk], t[chunk], moved)
-            square = _square(moved, self.partner[:3, chunk])
+            square = _square(moved, self.partner[: len(moved), chunk])
             step = _square(moved, self._decided_at[:, chunk]).sqrt_()
             first, second = square.sqrt(), self._second[chunk] - step
             known = _known(first, second, self._nearest[chunk] - step, limit[chunk])
@@ -125,15 +138,15 @@ class Correspondence:
 
     def _choose(self, rows: Tensor, limit: Tensor) -> Tensor:
         """Decide the rows (Q,) of all blocks among the few of their last search; returns where that suffices."""
-        points = gather_columns(self.moved.view(3, -1), rows)
-        step = _square(points, gather_columns(self._searched_at.view(3, -1), rows)).sqrt_()
+        points = gather_columns(self.moved.flatten(1), rows)
+        step = _square(points, gather_columns(self._searched_at.flatten(1), rows)).sqrt_()
         others = self._others.view(-1)[rows] - step
         first = self._decide(rows, points, self._few.view(-1, FEW)[rows], others)
         return _known(first, others, torch.minimum(first, others), limit.view(-1)[rows // BLOCK])
 
     def _search(self, rows: Tensor) -> None:
         """Search anew for the rows (Q,) of all blocks."""
-        queries = gather_columns(self.moved.view(3, -1), rows).t().contiguous()  # (Q, 3)
+        queries = gather_columns(self.moved.flatten(1), rows).t().contiguous()  # (Q, S)
         ends = torch.tensor(self.blocks.counts).cumsum(0) * BLOCK
         cuts = torch.searchsorted(rows, ends.to(rows.device)).tolist()  # rows ascend, so pair after pair
         few = rows.new_zeros(len(rows), FEW)
@@ -152,8 +165,8 @@ class Correspondence:
             self._store(rows[part], queries[part].t().contiguous(), few[part], full[part])
 
     def _store(self, rows: Tensor, points: Tensor, few: Tensor, full: Tensor) -> None:
-        """Store the results ``few`` of a search for the rows (Q,) at points (3, Q); the last one bounds all others."""
-        last = _square(points, gather_columns(self.target.values[:3], few[:, -1])).sqrt_()
+        """Store the results ``few`` of a search for the rows (Q,) at points (S, Q); the last one bounds all others."""
+        last = _square(points, gather_columns(self.target.values[: len(points)], few[:, -1])).sqrt_()
         others = torch.where(full, last, torch.inf)
         few = few.sort(dim=1).values  # of equally near points the lower row counts
         self._decide(rows, points, few, others)
@@ -162,8 +175,8 @@ class Correspondence:
         _scatter(self._searched_at, rows, points)
 
     def _decide(self, rows: Tensor, points: Tensor, few: Tensor, others: Tensor) -> Tensor:
-        """Store the nearest of ``few`` (Q, FEW) to points (3, Q), where all others are ``others`` (Q,) or more away."""
-        square = _square(points[:, :, None], gather_columns(self.target.values[:3], few))  # (Q, FEW)
+        """Store the nearest of ``few`` (Q, FEW) to points (S, Q), where all others are ``others`` (Q,) or more away."""
+        square = _square(points[:, :, None], gather_columns(self.target.values[: len(points)], few))  # (Q, FEW)
         nearest, place = square.min(dim=1)
         chosen = few.gather(1, place[:, None])
         second = square.masked_fill_(few == chosen, torch.inf).amin(dim=1).sqrt_()
@@ -197,17 +210,20 @@ def _known(first: Tensor, others: Tensor, least: Tensor, limit: Tensor) -> Tenso
 
 
 def _transform(source: Tensor, R: Tensor, t: Tensor, out: Tensor) -> None:
-    """R (k, 3, 3, 1) source (3, k, 256) + t (k, 3, 1), into ``out``."""
-    x, y, z = source.unbind(0)
+    """R (k, 3, 3, 1) source (3, k, 256) + t (k, 3, 1), into ``out``; rows behind the first three stay."""
+    x, y, z = source[:3].unbind(0)
     for i in range(3):
         torch.add(t[:, i], x * R[:, i, 0], out=out[i])
         out[i].add_(y * R[:, i, 1]).add_(z * R[:, i, 2])
 
 
 def _square(left: Tensor, right: Tensor) -> Tensor:
-    """Squared distances between (3, ...) and (3, ...)."""
-    x, y, z = (left - right).unbind(0)
-    return x.mul_(x).add_(y.mul_(y)).add_(z.mul_(z))
+    """Squared distances between (S, ...) and (S, ...)."""
+    first, *others = (left - right).unbind(0)
+    total = first.mul_(first)
+    for each in others:
+        total.add_(each.mul_(each))
+    return total
 
 
 def few_nearest(points: Tensor) -> Search:

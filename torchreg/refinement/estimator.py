@@ -58,8 +58,12 @@ class IcpKind(NamedTuple):
         columns: from the source and target clouds and the largest distance (T,) of every target, meters, to what the
             estimator reads of target points (N, A), x, y, z first, and of source points (P, E).
         estimator: from the kernel that weighs residuals to the estimator.
+        beside: from clouds to coordinates (P, S - 3) in which, multiplied by the options' ``color_scale``, the nearest
+            points are searched beside x, y, z; ``None`` searches in space alone. What the estimator reads of target
+            points then has them after x, y, z.
     """
 
     needs: tuple[tuple[str, str], ...]
     columns: Callable[[Clouds, Clouds, Tensor], tuple[Tensor, Tensor]]
     estimator: Callable[[Kernel], Estimator]
+    beside: Callable[[Clouds], Tensor] | None = None

@@ -29,14 +29,14 @@ EPSILON = 1e-3
 """Of the variance across a surface to that along it: Open3D's default."""
 
 
-def generalized(kernel: Kernel) -> Estimator:
+def generalized(kernel: Kernel, normal: int = 3) -> Estimator:
     """Gauss-Newton on the three residuals W d; partners are (x, y, z, normal), ``extra`` is the source's normal.
 
-    The kernel weighs each of the three by itself, as Open3D does.
+    The kernel weighs each of the three by itself, as Open3D does. ``normal`` is the first column of the partners'.
     """
 
     def terms(matched: MatchedBlocks) -> Tensor:
-        rows = whitening(matched.partner[3:6], turned(matched.rotation, matched.extra))
+        rows = whitening(matched.partner[normal : normal + 3], turned(matched.rotation, matched.extra))
         apart = matched.moved - matched.partner[:3]
         out: Tensor | None = None
         for row in rows.unbind(0):

@@ -45,9 +45,8 @@ def icp(
     has the same bits alone, in any batch and with any number of threads.
 
     Args:
-        source: B clouds; colors for ``kind="colored"``, normals for ``"generalized"``.
-        target: B clouds; normals for ``kind="point_to_plane"``, ``"colored"`` and ``"generalized"``, colors for
-            ``"colored"``.
+        source: B clouds, with the colors and normals that the kind needs (``IcpOptions``).
+        target: B clouds, likewise.
         T_target_source: (B, 4, 4), or (4, 4) for all pairs: where to start, rigid, meters, origins included.
         options: for all pairs, or one per pair; ``None`` is ``IcpOptions()``.
 

@@ -12,9 +12,10 @@ from torch import Tensor
 from torchreg.geometry.morton import morton_order
 from torchreg.preprocess import voxel_downsample
 from torchreg.refinement.blocks import Blocks
-from torchreg.refinement.correspond import Search, Target, few_nearest
+from torchreg.refinement.correspond import FEW, Search, Target, few_nearest
 from torchreg.refinement.kernels import KERNELS, least_squares
 from torchreg.refinement.loop import ActivePairs, Criteria, State, iterate
+from torchreg.refinement.metric_search import MetricSearch
 from torchreg.refinement.options import KINDS, IcpLevel, IcpOptions
 from torchreg.refinement.pairing import Frames, Pairing, among, numbered
 from torchreg.refinement.tree_correspond import correspondences
@@ -27,7 +28,7 @@ class Prepared(NamedTuple):
 
     source: Clouds
     target: Clouds
-    search: tuple[Search, ...]
+    search: tuple[Search, ...]  # in space
     pairing: Pairing
 
 
@@ -96,12 +97,24 @@ def _run(
     blocks = Blocks.of(lengths, device)
     max_distance = _of_clouds(criteria.max_distance, of_target, len(clouds.target))
     values, extra = kind.columns(clouds.source, clouds.target, max_distance)
-    searched = Target(
-        values.t().contiguous(), tuple(first[b] for b in of_target), tuple(clouds.search[b] for b in of_target)
-    )
-    matches = correspondences(blocks, blocks.fill(clouds.source.points[rows]), searched, criteria.max_distance)
+    points, search = clouds.source.points[rows], clouds.search
+    if kind.beside is not None:
+        scale = numbers([option.color_scale or step.max_distance for option, step in zip(options, steps, strict=True)])
+        of_rows = scale.repeat_interleave(torch.tensor(lengths, device=device))[:, None]
+        points = torch.cat([points, of_rows * kind.beside(clouds.source)[rows]], dim=1)
+        values = _with_axes(values, kind.beside(clouds.target), _of_clouds(scale, of_target, len(first) - 1), first)
+        axes = points.shape[1]
+        search = tuple(MetricSearch(values[i:j, :axes], FEW) for i, j in spans(clouds.target.offsets))
+    searched = Target(values.t().contiguous(), tuple(first[b] for b in of_target), tuple(search[b] for b in of_target))
+    matches = correspondences(blocks, blocks.fill(points), searched, criteria.max_distance)
     active = ActivePairs(matches, blocks.fill(extra[rows]), numbers(lengths))
     iterate(active, frames.target_center, estimator, criteria, state)
+
+
+def _with_axes(values: Tensor, beside: Tensor, scale: Tensor, first: Sequence[int]) -> Tensor:
+    """Columns (N, A) of target points with further coordinates (N, E) after x, y, z, scaled (T,) by their clouds."""
+    counts = torch.tensor(first, device=values.device).diff()
+    return torch.cat([values[:, :3], scale.repeat_interleave(counts)[:, None] * beside, values[:, 3:]], dim=1)
 
 
 def _thinned(

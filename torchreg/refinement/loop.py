@@ -116,7 +116,7 @@ class ActivePairs:
 
         def terms(chunk: slice) -> Tensor:
             inside = matches.inside[chunk].double()
-            return torch.stack([inside, inside * matches.square[chunk]])
+            return torch.stack([inside, inside * matches.apart(chunk)])
 
         count, total = matches.blocks.sums(terms, 2).unbind(1)
         return count / self.lengths[self.pairs], square_root(total / count.clamp_min(1))
@@ -130,7 +130,7 @@ class ActivePairs:
         def terms(chunk: slice) -> Tensor:
             return estimator.terms(
                 MatchedBlocks(
-                    moved=matches.moved[:, chunk],
+                    moved=matches.moved[:3, chunk],
                     partner=matches.partner[:, chunk],
                     inside=matches.inside[chunk].double(),
                     extra=self.extra[:, chunk],

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from torchreg.arguments import checked_record
 from torchreg.errors import at_least, expect, fraction, one_of, positive
 from torchreg.refinement.colored import COLORED
+from torchreg.refinement.colored_generalized import COLORED_GENERALIZED
 from torchreg.refinement.estimator import IcpKind
 from torchreg.refinement.generalized import GENERALIZED
+from torchreg.refinement.hue_point_to_point import HUE_POINT_TO_POINT
 from torchreg.refinement.kernels import KERNELS
 from torchreg.refinement.point_to_plane import POINT_TO_PLANE
 from torchreg.refinement.point_to_point import POINT_TO_POINT
@@ -18,6 +20,8 @@ KINDS: dict[str, IcpKind] = {
     "point_to_plane": POINT_TO_PLANE,
     "colored": COLORED,
     "generalized": GENERALIZED,
+    "colored_generalized": COLORED_GENERALIZED,
+    "hue_point_to_point": HUE_POINT_TO_POINT,
 }
 
 
@@ -56,7 +60,10 @@ class IcpOptions:
         kind: what is minimized: the distance ``"point_to_point"``, the distance ``"point_to_plane"`` (the target
             needs normals), the latter together with differences of intensity, ``"colored"`` (the target needs
             normals, both clouds need colors), or the distance weighed by the planes of both points, ``"generalized"``
-            (both clouds need normals; the kernel's scale is then of whitened residuals, meters along surfaces).
+            (both clouds need normals; the kernel's scale is then of whitened residuals, meters along surfaces). In
+            ``"colored_generalized"`` and ``"hue_point_to_point"`` correspondences are the nearest by place and color
+            (both clouds need colors): L, a and b beside the weighing of ``"generalized"``, and hue beside the distance
+            of ``"point_to_point"``. ``max_distance`` then bounds the distance in all these dimensions.
         iterations: updates at most.
         relative_fitness: iteration stops when fitness changes by less than this in one update ...
         relative_rmse: ... and inlier_rmse by less than this, meters. Both are differences, as in Open3D, which
@@ -67,6 +74,9 @@ class IcpOptions:
             ``"geman_mcclure"``, where it stands beside a squared residual, as in Open3D.
         color_weight: in [0, 1], share of the intensity term beside the geometric one in ``"colored"``; Open3D's
             ``lambda_geometric`` is one minus this.
+        color_scale: meters that the difference between black and white counts for (between opposite hues, of
+            ``"hue_point_to_point"``) where correspondences are the nearest by place and color; ``None`` takes the
+            largest distance of each level.
         levels: coarse to fine; empty for one level of ``max_distance`` and ``iterations``, which levels replace.
 
     Raises:
@@ -81,6 +91,7 @@ class IcpOptions:
     kernel: str | None = None
     kernel_scale: float = 0.1
     color_weight: float = 0.032
+    color_scale: float | None = None
     levels: tuple[IcpLevel, ...] = ()
 
     def __post_init__(self) -> None:
@@ -93,6 +104,8 @@ class IcpOptions:
             one_of(self.kernel, "kernel", tuple(KERNELS))
         positive(self.kernel_scale, "kernel_scale")
         fraction(self.color_weight, "color_weight", zero=True)
+        if self.color_scale is not None:
+            positive(self.color_scale, "color_scale")
         levels = isinstance(self.levels, tuple) and all(isinstance(level, IcpLevel) for level in self.levels)
         expect(levels, "levels", "a tuple of IcpLevel", self.levels)
 

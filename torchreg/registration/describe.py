@@ -17,9 +17,10 @@ from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.entry import entry
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_shape
 from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import undisturbed
+from torchreg.keypoints.keypoints import KeypointRows, Keypoints, marked
 from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import in_morton_order, voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
@@ -59,6 +60,7 @@ def _description(options: RegistrationOptions) -> Description:
         descriptors=(),
         refine=options.refine,
         refine_points=0 if options.refine == "none" else options.refine_points,
+        keypoints=options.keypoints,
     )
 
 
@@ -151,7 +153,8 @@ def _described_at_once(clouds: Clouds, descriptions: Sequence[Description]) -> D
     cloud, near = oriented(clouds, descriptions)
     features = describe(cloud, near, [description.descriptors for description in descriptions])
     spacings = tuple(map(_spacing, _fourth_distances(cloud, near).split(cloud.lengths)))
-    return DescribedClouds(cloud, features, tuple(descriptions), spacings, facts_of(cloud))
+    keypoints = select(cloud, near, [description.keypoints for description in descriptions])
+    return DescribedClouds(cloud, features, tuple(descriptions), spacings, facts_of(cloud), keypoints=keypoints)
 
 
 def _described_in_tiles(cloud: Clouds, description: Description, reach: float, most: int) -> DescribedClouds:
@@ -159,6 +162,9 @@ def _described_in_tiles(cloud: Clouds, description: Description, reach: float, m
     normals = torch.empty_like(cloud.points)
     fourth = cloud.points.new_empty(len(cloud.points))
     features: list[Features] = []
+    rule = description.keypoints
+    by_tiles = rule is not None and rule.support is not None
+    keypoints = torch.zeros(len(normals), dtype=torch.bool, device=cloud.device) if by_tiles else None
     for rows, own in tiles_of(cloud, reach, most):
         part, near = oriented(cloud.rows(rows, offsets_of([len(rows)])), [description])
         described = describe(part, near, [description.descriptors])
@@ -169,8 +175,14 @@ def _described_in_tiles(cloud: Clouds, description: Description, reach: float, m
         normals[mine], fourth[mine] = estimated[own], _fourth_distances(part, near)[own]
         for whole, each in zip(features, described, strict=True):
             whole.values[mine], whole.valid[mine] = each.values[own], each.valid[own]
-    whole_cloud = replace(cloud, normals=normals)
-    return DescribedClouds(whole_cloud, tuple(features), (description,), (_spacing(fourth),), facts_of(whole_cloud))
+        selected = select(part, near, [rule]) if keypoints is not None else None
+        if keypoints is not None and selected is not None:
+            keypoints[mine] = selected[own]
+    whole_cloud, spacings = replace(cloud, normals=normals), (_spacing(fourth),)
+    if not by_tiles:
+        keypoints = select(whole_cloud, None, [rule])
+    facts = facts_of(whole_cloud)
+    return DescribedClouds(whole_cloud, tuple(features), (description,), spacings, facts, keypoints=keypoints)
 
 
 def _room_for(features: Features, cloud: Clouds) -> Features:
@@ -240,6 +252,39 @@ def features_of(
 def support_of(cloud: Clouds, near: Neighborhoods, records: Sequence[Descriptor]) -> Neighborhoods:
     """The support of a descriptor, of which every cloud has a record."""
     return _support(cloud, near, [record.radius for record in records], records[0].max_neighbors)
+
+
+@stage("keypoints")
+def select(cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints | None]) -> Tensor | None:
+    """The points (P,) bool that are matched, by the rule of every cloud; ``None`` where there are no rules.
+
+    ``near`` is as wide as every support at least; rules differ in lengths only.
+    """
+    given = [rule for rule in rules if rule is not None]
+    if not given:
+        return None
+    support, alike = None, all(rule == given[0] for rule in given)
+    if given[0].support is not None and near is not None:
+        reads = [rule.support for rule in given if rule.support is not None]
+        support = _support(cloud, near, [each.radius for each in reads], reads[0].max_neighbors)
+    if alike:
+        return _marked(given[0], cloud, support)
+    parts = [
+        _marked(rule, single, None if support is None else support.of_rows(begin, end))
+        for single, rule, (begin, end) in zip(cloud.unpack(), given, spans(cloud.offsets), strict=True)
+    ]
+    return torch.cat(parts)
+
+
+def _marked(rule: Keypoints, cloud: Clouds, near: Neighborhoods | None) -> Tensor:
+    """The points (P,) bool that one rule selects, checked."""
+    name, count = f"{type(rule).__name__}.select", len(cloud.points)
+    selected = rule.select(cloud, near)
+    expect(isinstance(selected, KeypointRows), name, "KeypointRows", selected)
+    expect_shape(selected.rows, f"{name}: rows", ("K",), torch.int64, cloud.device)
+    legal = bool(((selected.rows >= 0) & (selected.rows < count)).all())
+    expect(legal, f"{name}: rows", f"rows 0 to {count - 1} of the clouds", "others")
+    return marked(selected.rows, count)
 
 
 def expect_alike(options: Sequence[RegistrationOptions] | Sequence[Description]) -> None:

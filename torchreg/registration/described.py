@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_shape
+from torchreg.keypoints.keypoints import Keypoints, KeypointSupport
 from torchreg.refinement.surfels import Surfels
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features
@@ -29,21 +30,28 @@ class Description:
     descriptors: tuple[Descriptor, ...]  # in the order of the features
     refine: str = "none"  # as in ``RegistrationOptions``
     refine_points: int = 0  # as there; 0 beside "none"
+    keypoints: Keypoints | None = None  # as there
 
     @property
     def max_neighbors(self) -> int:
         """The slots of the one search that serves normals and descriptors."""
-        return max([self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors)])
+        least = 1 if self._support is None else self._support.max_neighbors
+        return max([least, self.normal_max_neighbors, *(record.max_neighbors for record in self.descriptors)])
 
     @property
     def widest(self) -> float:
         """Meters, the radius of that search."""
-        return max([self.normal_radius, *(record.radius for record in self.descriptors)])
+        least = 0.0 if self._support is None else self._support.radius
+        return max([least, self.normal_radius, *(record.radius for record in self.descriptors)])
 
     @property
     def is_pairwise(self) -> bool:
         """Whether some descriptor looks at both clouds of a pair."""
         return any(record.is_pairwise for record in self.descriptors)
+
+    @property
+    def _support(self) -> KeypointSupport | None:
+        return None if self.keypoints is None else self.keypoints.support
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +67,7 @@ class DescribedClouds:
         surfels: of the B clouds, to refine poses on; ``None`` where poses are not refined.
         outside: features from elsewhere that the clouds are matched by in place of ``features``, which then judge poses
             alone; ``None`` where there are none. They have the offsets of ``cloud``.
+        keypoints: (P,) bool, the points that are matched; ``None`` where all are.
     """
 
     cloud: Clouds
@@ -68,6 +77,7 @@ class DescribedClouds:
     facts: tuple[CloudFacts, ...]
     surfels: Surfels | None = None
     outside: Features | None = None
+    keypoints: Tensor | None = None
 
     def __post_init__(self) -> None:
         for name in ("descriptions", "spacing", "facts"):
@@ -78,6 +88,8 @@ class DescribedClouds:
         for description in self.descriptions:
             fits = len(description.descriptors) == len(self.features)
             expect(fits, "descriptions", f"a descriptor per block ({len(self.features)})", description)
+        if self.keypoints is not None:
+            expect_shape(self.keypoints, "keypoints", (len(self.cloud.points),), torch.bool)
 
     def __len__(self) -> int:
         """The number of clouds, B."""
@@ -106,6 +118,7 @@ class DescribedClouds:
             facts=tuple(facts for part in parts for facts in part.facts),
             surfels=_packed([part.surfels for part in parts]),
             outside=_joined(outside[0], cloud.offsets) if outside else None,
+            keypoints=_concatenated([part.keypoints for part in parts]),
         )
 
     def unpack(self) -> list[DescribedClouds]:
@@ -147,13 +160,18 @@ class DescribedClouds:
         return replace(self, cloud=cloud, **features, surfels=surfels)
 
     def _features(self, offsets: Tensor, change: Callable[[Tensor], Tensor]) -> dict[str, Any]:
-        """The fields of features with every tensor of rows changed by a function."""
+        """The fields of features and keypoints with every tensor of rows changed by a function."""
 
         def changed(block: Features) -> Features:
             return Features(change(block.values), offsets, block.blocks, change(block.valid))
 
         outside = None if self.outside is None else changed(self.outside)
-        return {"features": tuple(map(changed, self.features)), "outside": outside}
+        keypoints = None if self.keypoints is None else change(self.keypoints)
+        return {"features": tuple(map(changed, self.features)), "outside": outside, "keypoints": keypoints}
+
+    def matched(self, features: Features) -> Features:
+        """Features of all points with those alone valid that are matched."""
+        return features if self.keypoints is None else replace(features, valid=features.valid & self.keypoints)
 
     def _of_outside(self) -> tuple[Features, ...]:
         """The features from elsewhere, where there are some."""
@@ -165,6 +183,13 @@ def _joined(parts: Sequence[Features], offsets: Tensor) -> Features:
     parts = [part for part in parts if len(part.values) > 0] or parts[:1]
     values, valid = torch.cat([part.values for part in parts]), torch.cat([part.valid for part in parts])
     return Features(values, offsets, parts[0].blocks, valid)
+
+
+def _concatenated(parts: Sequence[Tensor | None]) -> Tensor | None:
+    """The keypoints of all parts, which have the same descriptions; ``None`` where they have none."""
+    there = [part for part in parts if part is not None]
+    expect(len(there) in (0, len(parts)), "parts", "keypoints in all of them or in none", f"in {len(there)}")
+    return torch.cat(there) if there else None
 
 
 def _packed(parts: Sequence[Surfels | None]) -> Surfels | None:

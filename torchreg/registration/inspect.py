@@ -127,6 +127,25 @@ def few_points_notes(points: tuple[int, int], options: RegistrationOptions) -> t
     return tuple(f"only {count} points of the {name} are left{why}" for name, count in sides if 0 < count < _FEW_POINTS)
 
 
+def keypoints_failure(failure: Failure | None, counts: tuple[int, int], options: RegistrationOptions) -> Failure | None:
+    """The failure of a pair, which says so where keypoints, of the source and the target, are too few to be matched."""
+    rule, least = options.keypoints, options.solver.least_matches
+    if rule is None or failure is None or failure.kind != "too few matches" or min(counts) >= least:
+        return failure
+    text = f"{failure.text}: {counts[0]} keypoints ({rule.name}) in the source, {counts[1]} in the target"
+    figures = {**failure.figures, "keypoints_source": counts[0], "keypoints_target": counts[1]}
+    return replace(failure, text=text, figures=figures)
+
+
+def keypoints_notes(counts: tuple[int, int], points: tuple[int, int], options: RegistrationOptions) -> tuple[str, ...]:
+    """Remarks where keypoints alone are matched."""
+    if options.keypoints is None:
+        return ()
+    each = zip(counts, points, ("source", "target"), strict=True)
+    shares = " and ".join(f"{count:,} of {total:,} points of the {side}" for count, total, side in each)
+    return (f"keypoints ({options.keypoints.name}) alone are matched: {shares}",)
+
+
 def _facts(cloud: Clouds) -> CloudFacts:
     """The facts of a batch of one."""
     colors, extent = None, 0.0

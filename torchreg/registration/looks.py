@@ -23,7 +23,7 @@ from torchreg.neighborhoods.search import neighbors
 from torchreg.preprocess.downsample import voxel_downsample
 from torchreg.preprocess.normals import estimate_normals
 from torchreg.preprocess.orientation import orient_along_surfaces
-from torchreg.registration.describe import features_of
+from torchreg.registration.describe import features_of, select
 from torchreg.registration.described import DescribedClouds
 from torchreg.registration.inspect import too_wide
 from torchreg.registration.options import RegistrationOptions
@@ -108,7 +108,7 @@ def second_look(
         voxel = None if coarser == 1 else _voxel(options, coarser)
         if chosen and not any(too_wide(facts, voxel) for facts in (*source.facts, *target.facts)):
             records = [_wider(record, way) for way, of_way in chosen for record, _ in of_way]
-            one, other = (_Side(side.cloud, options, records, coarser) for side in (source, target))
+            one, other = (_Side(side, options, records, coarser) for side in (source, target))
             proposed += [_proposed(one, other, way, of_way, options, seed) for way, of_way in chosen]
     return proposed
 
@@ -127,14 +127,18 @@ class _Side:
 
     Attributes:
         rows: (P,) of the described cloud, the nearest of its points.
+        keypoints: (P,) bool, the points that are matched; ``None`` where all are.
     """
 
     def __init__(
-        self, described: Clouds, options: RegistrationOptions, records: Sequence[Descriptor], coarser: float
+        self, side: DescribedClouds, options: RegistrationOptions, records: Sequence[Descriptor], coarser: float
     ) -> None:
+        described, rule = side.cloud, None if options.keypoints is None else options.keypoints.scaled(coarser)
         normal_radius, normal_neighbors = coarser * options.normal_radius, options.normal_max_neighbors
         radius = max(normal_radius, *(record.radius for record in records))
         most = max(normal_neighbors, *(record.max_neighbors for record in records))
+        if rule is not None and rule.support is not None:
+            radius, most = max(radius, rule.support.radius), max(most, rule.support.max_neighbors)
         cloud = described
         if coarser != 1:
             cloud = voxel_downsample(replace(described, normals=None), _voxel(options, coarser))
@@ -143,6 +147,7 @@ class _Side:
         if coarser != 1:
             cloud = estimate_normals(cloud, self._near.restrict(normal_radius, normal_neighbors))
             self.rows = nearest(cloud.points, described.points).index
+        self.keypoints = side.keypoints if coarser == 1 else select(cloud, self._near, [rule])
         self._clouds = {"viewpoint": cloud}
         self._features: dict[tuple[Descriptor, str], Features] = {}
 
@@ -192,7 +197,8 @@ def _proposed(
     fused = []
     for side, sign in zip((source, target), signs, strict=True):
         features = [side.features(_wider(record, way), sign) for record in records]
-        fused.append(fused_blocks(features, records, weights, options.root))
+        every = fused_blocks(features, records, weights, options.root)
+        fused.append(every if side.keypoints is None else replace(every, valid=every.valid & side.keypoints))
     matches = match_mutual(*fused, neighbors=_NEAREST)
     solver = options.solver.scaled(way.coarser).at_effort(options.effort)
     poses = poses_of_pairs(source.cloud(), target.cloud(), matches, [solver], seed=seed)

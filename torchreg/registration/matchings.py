@@ -186,7 +186,7 @@ class GivenMatching(Matching):
 def _outside(side: DescribedClouds) -> Features:
     if side.outside is None:
         raise ValueError("outside: expected features of the described clouds, got none")
-    return side.outside
+    return side.matched(side.outside)
 
 
 def _by_features(

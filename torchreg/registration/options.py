@@ -12,6 +12,7 @@ from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.learned import Learned, shipped_numbers
 from torchreg.descriptors.pcfh import Pcfh
 from torchreg.errors import at_least, expect, fraction, one_of, positive
+from torchreg.keypoints.keypoints import Keypoints
 from torchreg.registration.former_names import by_former_names
 from torchreg.solvers import SOLVERS, RansacOptions, Solver
 from torchreg.types.lengths import length, scaled
@@ -48,6 +49,8 @@ class RegistrationOptions:
             fused: 0 (the paper) leaves them, 1 compares histograms by Hellinger's distance.
         ratio: a match stays when its distance is below this fraction of the second nearest's; ``None``
             leaves the test out.
+        keypoints: the rule that selects the points that are matched, such as ``IssKeypoints``; ``None`` matches all.
+            Descriptors are computed on the neighborhoods of all points, and poses are judged and refined on all points.
         match_neighbors: two points match when each is among so many nearest of the other in feature space.
         solver: the record that turns matches into poses; its inlier threshold is that of the whole registration. At
             construction and in ``dataclasses.replace`` also a name of ``torchreg.solvers.SOLVERS``, at the threshold
@@ -89,6 +92,7 @@ class RegistrationOptions:
     root: float
     ratio: float | None
     match_neighbors: int
+    keypoints: Keypoints | None
     solver: Solver
     ransac: RansacOptions
     effort: str
@@ -109,6 +113,7 @@ class RegistrationOptions:
         root: float = 0.0,
         ratio: float | None = None,
         match_neighbors: int = 1,
+        keypoints: Keypoints | None = None,
         solver: Solver | str | None = None,
         ransac: RansacOptions = _AS_BEFORE,
         effort: str = "plain",
@@ -120,6 +125,8 @@ class RegistrationOptions:
         records = (Fpfh(radius=5.0), Pcfh(radius=2.0)) if descriptors is None else _listed(descriptors, "descriptors")
         shares = (1.0,) * len(records) if weights is None else _listed(weights, "weights")
         _expect_records(records)
+        if keypoints is not None:
+            _expect_key(keypoints, "keypoints")
         expect(len(shares) == len(records), "weights", f"one per descriptor ({len(records)})", shares)
         expect(ratio is None or match_neighbors == 1, "match_neighbors", "1 beside a ratio", match_neighbors)
         records, shares = by_former_names(records, shares, former)
@@ -133,6 +140,7 @@ class RegistrationOptions:
             "root": fraction(root, "root", zero=True),
             "ratio": ratio if ratio is None else fraction(ratio, "ratio"),
             "match_neighbors": at_least(match_neighbors, "match_neighbors", 1),
+            "keypoints": keypoints,
             "solver": both[0],
             "ransac": both[1],
             "effort": one_of(effort, "effort", EFFORTS),
@@ -281,7 +289,7 @@ def _expect_solver(solver: object, ransac: object) -> None:
         _expect_key(solver, "solver")
 
 
-def _expect_key(record: Descriptor | Solver, name: str) -> None:
+def _expect_key(record: Descriptor | Solver | Keypoints, name: str) -> None:
     """Raise ``TypeError`` where a record cannot be a key of what is shared and cached."""
     kind = type(record).__name__
     if not isinstance(getattr(record, "name", None), str):

@@ -62,6 +62,8 @@ class OutsidePlan:
         if options is None:
             options = _as_they_are(source, target, "balanced" if effort is None else effort)
         self.options = options_of_pairs(options, len(source), effort, solver, refine)
+        if wanted.every:  # matches say themselves which points they are of
+            self.options = tuple(replace(option, keypoints=None) for option in self.options)
         voxels = [option.voxel_size for option in self.options]
         self.kept: tuple[KeptPoints, KeptPoints] = (
             kept_points(source, voxels, wanted.source, every=wanted.every),

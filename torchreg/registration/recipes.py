@@ -75,9 +75,13 @@ def _thorough_ways(options: RegistrationOptions) -> tuple[tuple[int, str], ...]:
 
 
 def fused(side: DescribedClouds, recipe: Recipe, options: RegistrationOptions) -> Features:
-    """Fuse the recipe's blocks, their histograms moved towards square roots by the options' ``root``."""
+    """Fuse the recipe's blocks, their histograms moved towards square roots by the options' ``root``.
+
+    Points that are not matched are not valid.
+    """
     records = [side.descriptions[0].descriptors[number] for number in recipe.blocks]
-    return fused_blocks([side.features[number] for number in recipe.blocks], records, recipe.weights, options.root)
+    blocks = [side.features[number] for number in recipe.blocks]
+    return side.matched(fused_blocks(blocks, records, recipe.weights, options.root))
 
 
 def fused_blocks(

@@ -22,7 +22,14 @@ from torchreg.matching.mutual import match_mutual
 from torchreg.registration.decide import Look, compared, look_again
 from torchreg.registration.describe import description_of, expect_alike
 from torchreg.registration.described import DescribedClouds
-from torchreg.registration.inspect import CloudFacts, few_points_notes, pair_notes, refusal
+from torchreg.registration.inspect import (
+    CloudFacts,
+    few_points_notes,
+    keypoints_failure,
+    keypoints_notes,
+    pair_notes,
+    refusal,
+)
 from torchreg.registration.matchings import Matched, Matching
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import Plan, joined
@@ -237,9 +244,14 @@ def conclude(
         result, given = collect(source.cloud, target.cloud, last), tuple(pair.verdict.given for pair in last)
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
     stages = _stage_counts(source, target, proposals)
-    result = replace(result, failure=tuple(early or late for early, late in zip(refused, result.failure, strict=True)))
+    keypoints = list(zip(_keypoint_counts(source), _keypoint_counts(target), strict=True))
+    late = map(keypoints_failure, result.failure, keypoints, options)
+    result = replace(result, failure=tuple(early or other for early, other in zip(refused, late, strict=True)))
     result, remarks = refined(source, target, result, options)
-    few = [few_points_notes(counts.points, option) for counts, option in zip(stages, options, strict=True)]
+    few = [
+        few_points_notes(counts.points, option) + keypoints_notes(selected, counts.points, option)
+        for counts, selected, option in zip(stages, keypoints, options, strict=True)
+    ]
     result = replace(
         result,
         options=tuple(options),
@@ -327,3 +339,10 @@ def _described_counts(side: DescribedClouds) -> list[int]:
     if not matched_by:
         return side.cloud.lengths
     return [int(valid.sum()) for valid in matched_by[0].valid.split(side.cloud.lengths)]
+
+
+def _keypoint_counts(side: DescribedClouds) -> list[int]:
+    """Of every cloud, the points that are matched."""
+    if side.keypoints is None:
+        return side.cloud.lengths
+    return [int(part.sum()) for part in side.keypoints.split(side.cloud.lengths)]

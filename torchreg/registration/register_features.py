@@ -128,7 +128,7 @@ def register_matches(
     """Find the rigid transform of every pair by matches that were found elsewhere.
 
     The solver proposes poses from the matches, and from those that the best pose leaves unexplained; the clouds then
-    decide as in ``register_features``.
+    decide as in ``register_features``. All matches are used, whatever the ``keypoints`` of the options.
 
     Args:
         source: B clouds. All points are used exactly as they are, unless the options have a ``voxel_size``: then all

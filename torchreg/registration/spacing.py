@@ -39,6 +39,9 @@ UNEVEN = 1.5
 COARSER = 1.5
 """By how much the derived lengths of ``effort="fast"`` exceed those of the others."""
 
+NORMAL_SPACINGS = 2
+"""The support radius of a normal, in spacings."""
+
 _THRESHOLD_SPACINGS = 1.5  # the inlier threshold
 _SPACING_NEIGHBOR = 4
 _SPACING_SAMPLE = 20_000
@@ -203,7 +206,7 @@ def options_for(
     color = (Contrast(radius=5 * spacing), Pcfh(radius=5 * spacing, channels=CHANNELS, equalization="none"))
     options = RegistrationOptions(
         voxel_size=voxel_size,
-        normal_radius=2 * spacing,
+        normal_radius=NORMAL_SPACINGS * spacing,
         descriptors=(Fpfh(radius=5 * spacing), *(color if colored else ())),
         weights=(1.0, 0.8, 0.5) if colored else (1.0,),
         solver=CompatibilityOptions(inlier_threshold=_THRESHOLD_SPACINGS * spacing),

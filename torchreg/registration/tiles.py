@@ -7,6 +7,7 @@ them, bit for bit: neighbors keep their order, and so do sums.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -24,8 +25,14 @@ class Tile(NamedTuple):
 
 
 def reach_of(description: Description) -> float | None:
-    """Meters: how far from a point anything can lie that changes its normal or its rows; ``None`` if anywhere."""
+    """Meters: how far from a point anything can lie that changes its normal or its rows; ``None`` if anywhere.
+
+    Keypoints that read no neighborhoods are selected on the whole cloud, and do not count.
+    """
     reaches = [record.reach for record in description.descriptors]
+    support = None if description.keypoints is None else description.keypoints.support
+    if support is not None:
+        reaches.append(support.reach if math.isfinite(support.reach) else None)
     known = [reach for reach in reaches if reach is not None]
     if len(known) < len(reaches):
         return None

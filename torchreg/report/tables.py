@@ -179,6 +179,8 @@ def _options_rows(options: RegistrationOptions, *, colored: bool) -> Iterator[tu
             yield record.name, f"{within}, weight {weight:g}"
     if not (colored and any(record.needs_colors for record in options.descriptors)):
         yield "color", "none: geometry alone"
+    if options.keypoints is not None:
+        yield "keypoints", f"{options.keypoints.name}: no other points are matched"
     yield "inlier threshold", meters(options.inlier_threshold)
 
 
