@@ -6,7 +6,7 @@ d_k = q_k - p, within the radius R:
     M = sum_k (R - |d_k|) d_k d_k^T / sum_k (R - |d_k|)
 
 z is the direction of least spread, the last eigenvector of M, x that of most, and y = z cross x. An eigenvector is an
-axis without a sign: each of x and z is turned to where most neighbors lie (d_k . x >= 0). Where they are as many on both
+axis without a sign: each of x and z is turned to where most neighbors lie (d_k . x >= 0). Where as many lie on both
 sides, the five neighbors of middle distance decide. So a frame turns with its surface, with no viewpoint known.
 """
 

@@ -2,8 +2,8 @@
 
 Tombari, Salti and Di Stefano, ECCV 2010, doi:10.1007/978-3-642-15558-1_26, and with colors, ICIP 2011,
 doi:10.1109/ICIP.2011.6116679. The ball around a point is cut into 32 volumes (``shot_votes``). Each has a histogram of
-11 bins of (1 + n . z) / 2, with n the neighbors' normals and z the last axis of the point's frame; and one of 31 bins of
-the difference of colors,
+11 bins of (1 + n . z) / 2, with n the neighbors' normals and z the last axis of the point's frame; and with colors one
+of 31 bins of their difference,
 
     (|L - L_k| / 100 + (|a - a_k| + |b - b_k|) / 240) / 3        of CIELAB.
 
