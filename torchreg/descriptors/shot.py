@@ -66,9 +66,10 @@ def shot(cloud: Clouds, near: Neighborhoods, *, frames: Tensor | None = None) ->
         there. The same bits for any chunking, batch and number of threads, with and without gradients, and in any
         order of neighbors.
 
-        Gradients flow to points, normals and frames, through those of ``local_frames`` too: votes are shared between
-        bins piecewise linearly, so they are right almost everywhere, and finite everywhere. The neighborhood is held
-        fixed. The backward pass computes pieces again, so memory stays that of one.
+        Gradients flow to points, normals and frames, through those of ``local_frames`` too, finite everywhere. Votes
+        are shared piecewise linearly, but the values jump where a neighbor passes to the next volume or bin, as in
+        PCL: what it gives along the other axes goes with it. No gradient shows that. The neighborhood is held fixed.
+        The backward pass computes pieces again, so memory stays that of one.
 
     Raises:
         ValueError: no normals, neighborhoods without a radius, or shapes that do not fit.
@@ -159,7 +160,7 @@ class Cshot(Descriptor):
 
 
 def _folded(values: Tensor) -> Tensor:
-    each = values.unflatten(1, (VOLUMES, SHAPE_BINS + 1))
+    each = values.view(len(values), VOLUMES, SHAPE_BINS + 1)
     return (each + each.flip(2))[:, :, : SHAPE_BINS // 2 + 1].flatten(1)
 
 
