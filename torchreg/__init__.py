@@ -21,6 +21,10 @@ from torchreg.descriptors.fpfh import Fpfh, fpfh
 from torchreg.descriptors.fuse import fuse
 from torchreg.descriptors.learned import Learned
 from torchreg.descriptors.pcfh import Pcfh, pcfh
+from torchreg.descriptors.pfh import Pfh, pfh
+from torchreg.descriptors.pfhrgb import PfhRgb, pfhrgb
+from torchreg.descriptors.shape_context import ShapeContext, shape_context
+from torchreg.descriptors.spin_images import SpinImages, spin_images
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
@@ -94,12 +98,16 @@ __all__ = [
     "Learned",
     "Neighborhoods",
     "Pcfh",
+    "Pfh",
+    "PfhRgb",
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "ShapeContext",
     "SiteResult",
     "SoftCorrespondences",
     "Solver",
+    "SpinImages",
     "Verification",
     "__version__",
     "augment",
@@ -128,6 +136,8 @@ __all__ = [
     "nn",
     "options_for",
     "pcfh",
+    "pfh",
+    "pfhrgb",
     "random_downsample",
     "ransac",
     "read_cloud",
@@ -137,9 +147,11 @@ __all__ = [
     "register_features",
     "register_matches",
     "register_site",
+    "shape_context",
     "soft_equalize",
     "soft_match",
     "spacing",
+    "spin_images",
     "synthetic",
     "to_numpy",
     "to_open3d",
