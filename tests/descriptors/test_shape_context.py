@@ -130,7 +130,8 @@ def test_what_is_unsigned_does_not_know_the_sign_of_normals():
 
 
 def test_what_does_not_fit_is_refused():
-    cloud, near = oriented_room(50)
+    cloud = sphere_cloud(50)
+    near = tr.neighbors(cloud, 0.7, 20)
     with refuses("cloud", "normals", "none"):
         tr.shape_context(tr.Clouds(points=cloud.points), near)
     with refuses("near", "radius", "None"):

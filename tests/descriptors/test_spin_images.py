@@ -120,7 +120,8 @@ def test_a_point_alone_is_not_valid():
 
 
 def test_what_does_not_fit_is_refused():
-    cloud, near = oriented_room(50)
+    cloud = sphere_cloud(50)
+    near = tr.neighbors(cloud, 0.7, 20)
     with refuses("cloud", "normals", "none"):
         tr.spin_images(tr.Clouds(points=cloud.points), near)
     with refuses("near", "radius", "None"):

@@ -71,8 +71,11 @@ def pair_share(valid: Tensor, dtype: torch.dtype) -> Tensor:
 
 
 def used_slots(near: Neighborhoods) -> Neighborhoods:
-    """Without slots that no row uses: pairs grow with the square of their number. Reads one number from the device.
+    """Without the last slots that no row uses: pairs grow with the square of their number. Reads one number.
 
     Where a graph is captured, which holds for any values, all slots stay.
     """
-    return near if torch.compiler.is_compiling() else near.trimmed()
+    if torch.compiler.is_compiling() or near.index.numel() == 0:
+        return near
+    place = torch.arange(1, near.max_neighbors + 1, device=near.index.device)
+    return near.restrict(max_neighbors=max(1, int((near.valid.any(dim=0) * place).max())))

@@ -148,8 +148,9 @@ def _images(piece: Piece, width: int, support_cosine: float, radial: bool, of_an
     beta = nx * dx + ny * dy + nz * dz
     alpha = _root((dy * nz - dz * ny).square() + (dz * nx - dx * nz).square() + (dx * ny - dy * nx).square())
     if radial:
-        # the point itself has no direction
-        beta = angle(torch.where(counted, beta, 0), torch.where(counted, alpha, 1)) * (2 / math.pi)
+        # the point itself has no direction, and a normal of length zero none to compare with
+        leaning = counted & distinct(alpha.square() + beta.square())
+        beta = angle(torch.where(leaning, beta, 0), torch.where(leaning, alpha, 1)) * (2 / math.pi)
         alpha = _root(square) / radius
     else:
         half = radius * math.sqrt(0.5)
