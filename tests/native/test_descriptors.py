@@ -12,7 +12,14 @@ from torchreg.native import native_library, torch_on_one_thread
 
 pytestmark = pytest.mark.skipif(not native_library(), reason="no compiler was at hand when the package was installed")
 
-DESCRIPTORS = [tr.estimate_normals, tr.fpfh, tr.pcfh, lambda cloud, near: tr.contrast(cloud, near, 0.4)]
+DESCRIPTORS = [
+    tr.estimate_normals,
+    tr.fpfh,
+    tr.pcfh,
+    lambda cloud, near: tr.contrast(cloud, near, 0.4),
+    tr.pfh,
+    tr.pfhrgb,
+]
 everywhere = pytest.mark.parametrize(("count", "kind"), [(count, kind) for count in COUNTS for kind in KINDS])
 
 
@@ -49,6 +56,21 @@ def test_contrast_is_that_of_torch(count, kind):
     assert same_both_ways(lambda: tr.contrast(cloud, near, 0.5))
     radius = torch.linspace(0.1, 0.6, count)
     assert same_both_ways(lambda: tr.contrast(cloud, near, radius))
+
+
+@everywhere
+@pytest.mark.parametrize("describe", [tr.pfh, tr.pfhrgb])
+def test_pair_histograms_are_those_of_torch(count, kind, describe):
+    cloud = cloud_of(count)
+    near = supports(cloud)[kind]
+    assert same_both_ways(lambda: describe(cloud, near))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pair_histograms_are_those_of_torch_on_other_clouds(seed):
+    cloud = cloud_of(300, seed)
+    near = tr.neighbors(cloud, 0.5, 80)
+    assert same_both_ways(lambda: (tr.pfh(cloud, near), tr.pfhrgb(cloud, near)))
 
 
 @pytest.mark.parametrize("seed", range(5))
