@@ -84,6 +84,48 @@ COMPARED = {
         extra=9,
         unit="1 / m",
     ),
+    "local_frames": Compared(
+        program="local_frames",
+        size=9,
+        ours=lambda cloud, near, extra: tr.local_frames(cloud, near).flatten(1),
+        unit="unit vectors",
+    ),
+    "local_frames, OMP": Compared(
+        program="local_frames",
+        size=9,
+        ours=lambda cloud, near, extra: tr.local_frames(cloud, near).flatten(1),
+        options=("omp",),
+        threaded=True,
+        unit="unit vectors",
+    ),
+    "shot": Compared(
+        program="shot", size=352, ours=lambda cloud, near, extra: tr.shot(cloud, near).values, unit="unit length"
+    ),
+    "shot, OMP": Compared(
+        program="shot",
+        size=352,
+        ours=lambda cloud, near, extra: tr.shot(cloud, near).values,
+        options=("omp",),
+        threaded=True,
+        unit="unit length",
+    ),
+    "cshot": Compared(
+        program="cshot", size=1344, ours=lambda cloud, near, extra: tr.cshot(cloud, near).values, unit="unit length"
+    ),
+    "cshot, PCL's table of colors, OMP": Compared(
+        program="cshot",
+        size=1344,
+        ours=lambda cloud, near, extra: tr.cshot(cloud, near, values=lab_of_pcl(cloud.colors)).values,
+        options=("omp",),
+        threaded=True,
+        unit="unit length",
+    ),
+    "unique_shape_context": Compared(
+        program="unique_shape_context",
+        size=1960,
+        ours=lambda cloud, near, extra: tr.unique_shape_context(cloud, near).values,
+        unit="1 / m",
+    ),
 }
 
 
@@ -172,6 +214,18 @@ def differences(ours: Tensor, theirs: Tensor) -> dict[str, float]:
         "median": float(gap.median()),
         "largest": float(gap.max()),
     }
+
+
+def lab_of_pcl(colors: Tensor) -> Tensor:
+    """L / 100, a / 120 and b / 120 (P, 3) of colors of 8 bits, as PCL has them: off a table of 4000 steps."""
+    light = torch.where(colors > 0.04045, ((colors + 0.055) / 1.055) ** 2.4, colors / 12.92)
+    rows = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
+    weights = light.new_tensor(rows)
+    white = light.new_tensor((0.95047, 1.0, 1.08883))
+    steps = torch.arange(4000) / 4000
+    table = torch.where(steps > 0.008856, steps ** (1 / 3), 7.87 * steps + 16 / 116)
+    fx, fy, fz = table[((light @ weights.t() / white) * 4000).long().clamp(max=3999)].unbind(1)
+    return torch.stack([1.16 * fy - 0.16, 500 / 120 * (fx - fy), 200 / 120 * (fy - fz)], dim=1)
 
 
 def real_cloud() -> tr.Clouds:

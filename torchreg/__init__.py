@@ -27,6 +27,7 @@ from torchreg.descriptors.pfhrgb import PfhRgb, pfhrgb
 from torchreg.descriptors.shape_context import ShapeContext, shape_context
 from torchreg.descriptors.shot import Cshot, Shot, cshot, shot
 from torchreg.descriptors.spin_images import SpinImages, spin_images
+from torchreg.descriptors.unique_shape_context import UniqueShapeContext, unique_shape_context
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
@@ -112,6 +113,7 @@ __all__ = [
     "SoftCorrespondences",
     "Solver",
     "SpinImages",
+    "UniqueShapeContext",
     "Verification",
     "__version__",
     "augment",
@@ -165,6 +167,7 @@ __all__ = [
     "to_pyg",
     "to_pytorch3d",
     "transform",
+    "unique_shape_context",
     "verify",
     "voxel_downsample",
     "write_cloud",

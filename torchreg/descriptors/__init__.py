@@ -13,6 +13,7 @@ from torchreg.descriptors.pfhrgb import PfhRgb
 from torchreg.descriptors.shape_context import ShapeContext
 from torchreg.descriptors.shot import Cshot, Shot
 from torchreg.descriptors.spin_images import SpinImages
+from torchreg.descriptors.unique_shape_context import UniqueShapeContext
 
 _RECORDS: tuple[type[Descriptor], ...] = (
     Fpfh,
@@ -25,6 +26,7 @@ _RECORDS: tuple[type[Descriptor], ...] = (
     ShapeContext,
     Shot,
     Cshot,
+    UniqueShapeContext,
 )
 DESCRIPTORS: dict[str, type[Descriptor]] = {record.name: record for record in _RECORDS}
 """The descriptors of this package by name."""

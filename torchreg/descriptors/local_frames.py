@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from torchreg.descriptors.descriptor import support_radius
 from torchreg.descriptors.soft.arguments import expect_finite
 from torchreg.entry import entry
 from torchreg.errors import expect_floating
@@ -64,7 +65,8 @@ def local_frames(cloud: Clouds, near: Neighborhoods) -> Tensor:
     expect_rows(near, cloud)
     expect_floating(cloud.points, "points")
     expect_finite(cloud.points, "points")
-    points, radius = cloud.points, support_radius(near).double()
+    points = cloud.points
+    radius = support_radius(near, points.new_empty(0, dtype=torch.float64))
     wanted = derivative_wanted(points)
     if native(points, near.index, near.valid) and points.dtype in KERNEL_TYPES and not wanted:
         return _frames_compiled(points, near, radius)
@@ -80,24 +82,11 @@ def local_frames(cloud: Clouds, near: Neighborhoods) -> Tensor:
     return torch.cat(parts).to(points.dtype) if parts else points.new_zeros(0, 3, 3)
 
 
-def support_radius(near: Neighborhoods) -> Tensor:
-    """The radius (P,) of every neighborhood, in the dtype of its squared distances.
-
-    Raises:
-        ValueError: it is not known.
-    """
-    if near.radius is None:
-        raise ValueError("near: expected neighborhoods with a radius (neighbors gives them), got one of None")
-    if isinstance(near.radius, Tensor):
-        return near.radius.to(near.sq_distance)
-    return near.sq_distance.new_full((len(near),), near.radius)
-
-
 def _frames_compiled(points: Tensor, near: Neighborhoods, radius: Tensor) -> Tensor:
     """As ``_frames``, of all rows, in the dtype of the points."""
     out = points.new_empty(len(points), 3, 3)
     slots, sizes = (*rows(near.index), *rows(near.valid)), (len(points), near.max_neighbors)
-    given = points.detach().contiguous(), radius.detach().contiguous()
+    given = points.detach().contiguous(), radius[:, 0].detach().contiguous()
     call(f"local_frames_{KERNEL_TYPES[points.dtype]}", *given, *slots, *sizes, out)
     return out
 
@@ -109,7 +98,7 @@ def _frames(columns: list[Tensor], near: Neighborhoods, radius: Tensor, part: sl
     square = _dot(offset, offset)
     counted = valid & (square > 0)
     apart = torch.where(counted, square, 1.0)
-    weight = (radius[part, None] - apart * apart.rsqrt()) * counted.double()
+    weight = (radius[part] - apart * apart.rsqrt()) * counted.double()
     covariance = _covariance(offset, weight)
     values, vectors = symmetric_eigen(covariance)
     least, most = vectors[..., 0], vectors[..., 2]  # (r, 3)

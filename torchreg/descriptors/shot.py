@@ -21,9 +21,9 @@ from torch.utils.checkpoint import checkpoint
 
 from torchreg.arguments import checked_record
 from torchreg.descriptors.color import colors_of
-from torchreg.descriptors.descriptor import Descriptor, largest_entries
+from torchreg.descriptors.descriptor import Descriptor, largest_entries, support_radius
 from torchreg.descriptors.lab import lab
-from torchreg.descriptors.local_frames import local_frames, support_radius
+from torchreg.descriptors.local_frames import local_frames
 from torchreg.descriptors.shot_votes import (
     VOLUMES,
     angle_coefficients,
@@ -169,14 +169,14 @@ def _described(cloud: Clouds, near: Neighborhoods, frames: Tensor | None, colors
     if cloud.normals is None:
         raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
     expect_rows(near, cloud)
-    points, normals, radius = cloud.points, cloud.normals, support_radius(near)
+    points, normals, radius = cloud.points, cloud.normals, support_radius(near, cloud.points)
     expect_floating(points, "points")
     expect_finite(points, "points")
     expect_finite(normals, "normals")
     if frames is None:
         frames = local_frames(cloud, near)
     expect_shape(frames, "frames", (len(points), 3, 3), "floating")
-    frames, radius = frames.to(points.dtype), radius.to(points.dtype)
+    frames = frames.to(points.dtype)
     normals, colors = normals.to(points.dtype), None if colors is None else colors.to(points.dtype)
     given = (points, normals, frames) if colors is None else (points, normals, frames, colors)
     wanted = derivative_wanted(*given)
@@ -207,7 +207,7 @@ def _rows(
     x, y, z = (_dot([frame[:, axis, i, None] for i in range(3)], offset) for axis in range(3))
     framed = (frame != 0).any(dim=2).any(dim=1)[:, None]
     counted = near.valid[part] & framed & (_dot(offset, offset) > 0)
-    place = places(x, y, z, counted, radius[part, None])
+    place = places(x, y, z, counted, radius[part])
     normal = [gather(column, index) for column in columns[3:]]
     cosine = _dot([frame[:, 2, i, None] for i in range(3)], normal).clamp(-1, 1)
     result = histograms(*votes(place, (1 + cosine) * (SHAPE_BINS / 2), counted, SHAPE_BINS), SHOT_SIZE)
@@ -233,7 +233,7 @@ def _compiled(
     dtype, count = points.dtype, len(points)
     out = points.new_empty(count, SHOT_SIZE if colors is None else CSHOT_SIZE)
     angles = torch.tensor(angle_coefficients(dtype), dtype=dtype)
-    given = [each.detach().contiguous() for each in (points, normals, frames, radius)]
+    given = [each.detach().contiguous() for each in (points, normals, frames, radius[:, 0])]
     of_color = None if colors is None else colors.detach().contiguous()
     slots, sizes = (*rows(near.index), *rows(near.valid)), (count, near.max_neighbors)
     call(f"shot_{KERNEL_TYPES[dtype]}", *given, of_color, angles, len(angles), vote_steps(dtype), *slots, *sizes, out)

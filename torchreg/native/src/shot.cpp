@@ -2,6 +2,8 @@
 #include "slots.hpp"
 #include "sums.hpp"
 
+#include <type_traits>
+
 namespace torchreg {
 namespace {
 
@@ -58,6 +60,7 @@ inline T root(T square) {
 template <int64_t N, typename T>
 void places(Votes<T>& v, int64_t count, T radius, const T* angles, T steps) {
     using Count = typename Whole<T>::type;
+    constexpr Count one = 4, all = VOLUMES;  // volumes of a sector, and of all
     T fixed[N];
     std::copy(angles, angles + N, fixed);
 #pragma GCC ivdep
@@ -91,7 +94,7 @@ void places(Votes<T>& v, int64_t count, T radius, const T* angles, T steps) {
         v.own[k] = ((T(1) - out_of) + (T(1) - down_of)) * weight + (T(1) - turn_of) * weight_around;
         v.next[0][k] = volume + 2 - 4 * beyond;
         v.next[1][k] = volume + 1 - 2 * above;
-        v.next[2][k] = (volume + (turn > T(0) ? 4 : VOLUMES - 4)) & (VOLUMES - 1);
+        v.next[2][k] = (volume + (turn > T(0) ? one : all - one)) & (all - 1);
         v.share[0][k] = static_cast<Count>((outward > T(0) ? outward : T(0)) * weight * steps);
         v.share[1][k] = static_cast<Count>((downward > T(0) ? downward : T(0)) * weight * steps);
         v.share[2][k] = static_cast<Count>(turn_of * weight_around * steps);
