@@ -23,7 +23,6 @@ Votes are summed as whole numbers of 2^-26 (float64: 2^-44), so that no order of
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import torch
@@ -44,7 +43,7 @@ _DOUBLE = (
     -0.11574889304741591, 0.09793816121605757, -0.08483531737856924, 0.07444461961793958, -0.06410824509102485,
     0.048337142777222564, -0.022668624940243152,
 )  # fmt: skip
-TAN_PI_8 = math.sqrt(2) - 1
+TAN_PI_8 = 0.41421356237309503
 
 
 def angle_coefficients(dtype: torch.dtype) -> tuple[float, ...]:
