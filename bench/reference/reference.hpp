@@ -22,6 +22,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <exception>
 #include <fstream>
 #include <iostream>
@@ -126,10 +127,15 @@ int run(int count, char** words, Compute compute) {
         for (int i = 6; i < count; ++i) input.options.push_back(words[i]);
         std::printf("points %zu radius %s threads %d seconds", input.points->size(), words[2], input.threads);
         Output output;
+        std::vector<double> busy;
         for (int i = 0; i < runs; ++i) {
+            const std::clock_t begin = std::clock();
             output = compute(std::as_const(input));
+            busy.push_back(static_cast<double>(std::clock() - begin) / CLOCKS_PER_SEC);
             std::printf(" %.4f", output.seconds);
         }
+        std::printf(" processor");
+        for (const double seconds : busy) std::printf(" %.4f", seconds);
         std::printf("\n");
         if (std::string(words[3]) != "-") {
             std::ofstream file(words[3], std::ios::binary);

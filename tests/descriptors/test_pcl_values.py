@@ -1,7 +1,7 @@
 """PFH, PFHRGB, spin images and shape contexts against PCL's values, on the same normals and neighborhoods.
 
-``bench/reference.py values`` wrote the files: a wavy sheet of 160 points, the last of which lies where the first one does,
-with colors of 8 bits whose ratios often meet the edges of bins.
+``bench/reference.py values`` wrote the files: a wavy sheet of 160 points, the last of which lies where the first one
+does, with colors of 8 bits whose ratios often meet the edges of bins.
 """
 
 from pathlib import Path

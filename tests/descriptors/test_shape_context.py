@@ -6,7 +6,7 @@ import pytest
 import torch
 from closeness import close
 from determinism import same_bits
-from problems import oriented_room, random_transform, sphere_cloud
+from problems import random_transform, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
@@ -26,13 +26,16 @@ def context_of(cloud, near, frames, row, bins=BINS, inner=0.1, density=0.2):
         if distance == 0:
             continue
         x, y, z = (frames[row] @ line).tolist()
-        l = min(azimuths - 1, int(math.atan2(y, x) % (2 * math.pi) / (2 * math.pi) * azimuths))
-        k = min(elevations - 1, int(math.acos(z / distance) / math.pi * elevations))
-        j = max(0, sum(distance > edge for edge in edges) - 1)
+        turn_bin = min(azimuths - 1, int(math.atan2(y, x) % (2 * math.pi) / (2 * math.pi) * azimuths))
+        rise_bin = min(elevations - 1, int(math.acos(z / distance) / math.pi * elevations))
+        ring = max(0, sum(distance > edge for edge in edges) - 1)
         around = int(((cloud.points - cloud.points[other]).norm(dim=1) < density * near.radius).sum())
-        turn, tops = 2 * math.pi / azimuths, [math.cos(math.pi * part / elevations) for part in (k, k + 1)]
-        volume = turn * (tops[0] - tops[1]) * (edges[j + 1] ** 3 - edges[j] ** 3) / 3
-        out[l, k, j] += 1 / (around * volume ** (1 / 3))
+        turn, tops = (
+            2 * math.pi / azimuths,
+            [math.cos(math.pi * part / elevations) for part in (rise_bin, rise_bin + 1)],
+        )
+        volume = turn * (tops[0] - tops[1]) * (edges[ring + 1] ** 3 - edges[ring] ** 3) / 3
+        out[turn_bin, rise_bin, ring] += 1 / (around * volume ** (1 / 3))
     return out.flatten()
 
 

@@ -1,18 +1,18 @@
 r"""3D shape contexts: how many points lie in each cell of a ball around a point, 1980 numbers.
 
-Frome, Huber, Kolluri, Buelow and Malik, ECCV 2004, doi:10.1007/978-3-540-24672-5_18, as PCL has them. The ball is cut into
-cells by azimuth (equal angles around the z axis of a frame, from its x axis), elevation (equal angles from z) and
+Frome, Huber, Kolluri, Buelow and Malik, ECCV 2004, doi:10.1007/978-3-540-24672-5_18, as PCL has them. The ball is cut
+into cells by azimuth (equal angles around the z axis of a frame, from its x axis), elevation (equal angles from z) and
 radius (equal ratios from ``inner`` x radius to the radius; the innermost cell holds what is nearer). A neighbor adds
 
     1 / (rho V^(1/3))
 
 to its cell, where V is the volume of the cell and rho how many points lie within ``density`` x radius of the neighbor.
 
-The frame. The paper leaves the azimuth open and compares all rotations; PCL draws an x axis at random, so that its values
-for two scans of one place differ. Here z is the normal, and x the direction in the tangent plane in which the neighbors
-spread farthest, weighted by radius - distance, with the sign that has more of that weight in front: it turns with the
-cloud. ``frames`` takes others, such as those of SHOT, with which the descriptor is the unique shape context (Tombari,
-Salti and Di Stefano, 3DOR 2010, doi:10.1145/1877808.1877821).
+The frame. The paper leaves the azimuth open and compares all rotations; PCL draws an x axis at random, so that its
+values for two scans of one place differ. Here z is the normal, and x the direction in the tangent plane in which the
+neighbors spread farthest, weighted by radius - distance, with their weighted sum in front: it turns with the cloud.
+``frames`` takes others, such as those of SHOT, with which the descriptor is the unique shape context (Tombari, Salti
+and Di Stefano, 3DOR 2010, doi:10.1145/1877808.1877821).
 """
 
 from __future__ import annotations
@@ -153,8 +153,8 @@ def tangent_frames(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tens
     """Frames (P, 3, 3) with the axes x, y, z in rows, which turn with the cloud.
 
     z is the normal; x is the direction in the tangent plane along which the neighbors spread farthest, each weighted by
-    radius - distance, and their weighted sum lies in front; y = z x x. Zero where all neighbors lie on the normal. Where
-    they spread alike in all directions, or lie alike in front and behind, noise decides. No gradients.
+    radius - distance, and their weighted sum lies in front; y = z x x. Zero where all neighbors lie on the normal.
+    Where they spread alike in all directions, or lie alike in front and behind, noise decides. No gradients.
     """
     points, normals = points.detach(), normals.detach()
     radius, out = support_radius(near, points), points.new_zeros(len(points), 3, 3)
@@ -212,7 +212,8 @@ def _counted(
     for rows in row_chunks(len(points), max(near.max_neighbors, size)):
         index = near.index[rows]
         d = [gather(column, index) - column[rows, None] for column in columns]
-        x, y, z = (sum(d[i] * axes[rows, axis + i, None] for i in range(3)) for axis in (0, 3, 6))
+        own = axes[rows, :, None]
+        x, y, z = (d[0] * own[:, i] + d[1] * own[:, i + 1] + d[2] * own[:, i + 2] for i in (0, 3, 6))
         square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
         counted = neighbor_votes(near.index, near.valid, rows) & (square > 0)
         counted &= (axes[rows] != 0).any(dim=1, keepdim=True)

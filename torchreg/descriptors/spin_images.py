@@ -8,8 +8,9 @@ normal n,
 fall between the nodes of a grid of (W + 1) x (2 W + 1), alpha in [0, s] by beta in [-s, s], and the neighbor is shared
 among the four nodes around it linearly. The cylinder of that size lies in the ball of the neighborhood: s is the radius
 by sqrt(2). The sums of nodes are divided by their total. A radial structure has the distance |d| in [0, radius] and the
-angle over the tangent plane, asin(n.d / |d|) in [-pi/2, pi/2], instead. A grid of angles holds at each node the mean angle
-between the normals, up to sign, of the neighbors there.
+angle over the tangent plane, asin(n.d / |d|) in [-pi/2, pi/2], instead. A grid of angles holds at each node the mean
+angle between the normals, up to sign, of the neighbors there; PCL takes arccosines of float32 numbers, which hold small
+angles to 5e-4 alone, where these are exact.
 
 Linear sharing makes the image a piecewise smooth function, so gradients flow without another definition.
 """
@@ -162,7 +163,8 @@ def _images(piece: Piece, width: int, support_cosine: float, radial: bool, of_an
     counts = grid_votes(shares, votes, nodes)
     if of_angles:
         sine = _root((ny * mz - nz * my).square() + (nz * mx - nx * mz).square() + (nx * my - ny * mx).square())
-        turns = angle(torch.where(counted, sine, 0), torch.where(counted, cosine.abs(), 1))
+        known = counted & distinct(sine.square() + cosine.square())
+        turns = angle(torch.where(known, sine, 0), torch.where(known, cosine.abs(), 1))
         seen = counts.detach() > 0
         return torch.where(seen, grid_votes(shares, votes * turns, nodes) / torch.where(seen, counts, 1), 0)
     return counts / counted.sum(dim=1, keepdim=True).clamp(min=1)

@@ -1,7 +1,7 @@
 """Histograms of several numbers at once whose votes pass linearly from cell to cell.
 
-The shares of a vote are those of ``soft.votes`` in every dimension, multiplied: in two dimensions a vote is shared among
-four cells, in three among eight.
+The shares of a vote are those of ``soft.votes`` in every dimension, multiplied: in two dimensions a vote is shared
+among four cells, in three among eight.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ def soft_shape_context(
 ) -> Tensor:
     """(P, product of bins) sums of the votes (P,) of neighbors in each cell, before volumes.
 
-    ``frames`` (P, 3, 3) are those of ``torchreg.shape_context``, ``radius`` (P, 1) that of the neighborhoods and ``edges``
-    where cells of radius end, as parts of it. Gradients flow to points and frames.
+    ``frames`` (P, 3, 3) are those of ``torchreg.shape_context``, ``radius`` (P, 1) that of the neighborhoods and
+    ``edges`` where cells of radius end, as parts of it. Gradients flow to points and frames.
     """
     size = bins[0] * bins[1] * bins[2]
     if len(points) == 0:
