@@ -160,7 +160,7 @@ STAGES: dict[str, Stage] = {
     "contrast": Stage(run=lambda g: tr.contrast(g.oriented, g.near, RADIUS), transfers=1, atol=1e-5),
     "local_frames": Stage(run=lambda g: tr.local_frames(g.oriented, g.near), transfers=1, atol=1e-4, share=0.02),
     "shot": Stage(run=lambda g: tr.shot(g.oriented, g.near), transfers=3, atol=1e-4, share=0.02),
-    "cshot": Stage(run=lambda g: tr.cshot(g.oriented, g.near), transfers=4, atol=1e-4, share=0.02),
+    "cshot": Stage(run=lambda g: tr.cshot(g.oriented, g.near), transfers=5, atol=1e-4, share=0.02),
     "unique_shape_context": Stage(
         run=lambda g: tr.unique_shape_context(g.oriented, g.near), transfers=4, atol=1e-2, share=0.02
     ),

@@ -123,7 +123,7 @@ def histograms(index: Tensor, shares: Tensor, size: int) -> Tensor:
     """
     if transformed(shares):
         return shares.new_zeros(shares.shape[0], size).scatter_add(1, index, shares).double()
-    return _Sums.call(index, shares, size) if derivative_wanted(shares) else _sums(index, shares, size)
+    return _ExactSums.call(index, shares, size) if derivative_wanted(shares) else _sums(index, shares, size)
 
 
 def unit_rows(rows: Tensor, sums: Tensor) -> Tensor:
@@ -132,7 +132,7 @@ def unit_rows(rows: Tensor, sums: Tensor) -> Tensor:
     return rows * torch.where(some, torch.where(some, sums, 1.0).rsqrt(), 0.0)[:, None]
 
 
-class _Sums(TensorFunction):
+class _ExactSums(TensorFunction):
     @staticmethod
     def forward(ctx: Any, index: Tensor, shares: Tensor, size: int) -> Tensor:  # noqa: ANN401
         ctx.save_for_backward(index)
