@@ -169,5 +169,5 @@ def test_gradients_are_those_of_differences(elements):
             return tr.local_frames(replace(cloud, points=points), near)
 
     points = cloud.points.clone().requires_grad_()
-    assert torch.autograd.gradcheck(frames, (points,), atol=1e-6)
+    assert torch.autograd.gradcheck(frames, (points,), atol=1e-6, fast_mode=elements == 40)
     assert same_bits(frames(points).detach(), frames(cloud.points))

@@ -205,14 +205,16 @@ def test_gradients_are_those_of_differences(elements):
             ).sum()
 
     leaves = [each.clone().requires_grad_() for each in (cloud.points, cloud.normals, cloud.colors)]
-    assert torch.autograd.gradcheck(loss, leaves, eps=1e-6, atol=1e-5)
+    assert torch.autograd.gradcheck(loss, leaves, atol=1e-5, fast_mode=True)
 
 
 def test_gradients_reach_frames_that_are_given():
     cloud = sphere_cloud(10, seed=4)
     near = tr.neighbors(cloud, 2.2, 10)
     frames = tr.local_frames(cloud, near).requires_grad_()
-    assert torch.autograd.gradcheck(lambda f: tr.shot(cloud, near, frames=f).values[:3], (frames,), atol=1e-5)
+    assert torch.autograd.gradcheck(
+        lambda f: tr.shot(cloud, near, frames=f).values, (frames,), atol=1e-5, fast_mode=True
+    )
 
 
 @both

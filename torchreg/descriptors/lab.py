@@ -47,4 +47,4 @@ def _cube_root(part: Tensor) -> Tensor:
     root = 0.35 + 0.7 * base
     for _ in range(_STEPS):
         root = (2 * root + base / (root * root)) / 3
-    return torch.where(large, root, 7.87 * part + 16 / 116)
+    return torch.where(large, root, 7.787 * part + 16 / 116)
