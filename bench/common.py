@@ -59,7 +59,7 @@ def save(name: str, content: dict[str, Any]) -> Path:
 def publish(block: str, text: str) -> None:
     """Replace what stands between ``<!-- begin: BLOCK -->`` and ``<!-- end: BLOCK -->``.
 
-    The block is in one page under ``docs/`` or in README.md, so that no number there is typed by hand.
+    The block is in one of ``docs/**/*.md`` or in README.md, so that no number there is typed by hand.
     """
     begin, end = f"<!-- begin: {block} -->", f"<!-- end: {block} -->"
     pages = [page for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))) if begin in page.read_text()]

@@ -165,6 +165,12 @@ STAGES: dict[str, Stage] = {
     "fpfh, pcl": Stage(run=lambda g: tr.fpfh(g.oriented, g.near, mode="pcl"), transfers=2, atol=1e-2, share=0.02),
     "pcfh": Stage(run=lambda g: tr.pcfh(g.oriented, g.near), transfers=2, atol=1e-2, share=0.02),
     "contrast": Stage(run=lambda g: tr.contrast(g.oriented, g.near, RADIUS), transfers=1, atol=1e-5),
+    "local_frames": Stage(run=lambda g: tr.local_frames(g.oriented, g.near), transfers=1, atol=1e-4, share=0.02),
+    "shot": Stage(run=lambda g: tr.shot(g.oriented, g.near), transfers=3, atol=1e-4, share=0.02),
+    "cshot": Stage(run=lambda g: tr.cshot(g.oriented, g.near), transfers=5, atol=1e-4, share=0.02),
+    "unique_shape_context": Stage(
+        run=lambda g: tr.unique_shape_context(g.oriented, g.near), transfers=4, atol=1e-2, share=0.02
+    ),
     "learned": Stage(
         run=lambda g: tr.Learned(radius=RADIUS, max_neighbors=60).describe(g.oriented, g.near), transfers=8, atol=1e-4
     ),

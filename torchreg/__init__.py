@@ -21,7 +21,14 @@ from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh, fpfh
 from torchreg.descriptors.fuse import fuse
 from torchreg.descriptors.learned import Learned
+from torchreg.descriptors.local_frames import local_frames
 from torchreg.descriptors.pcfh import Pcfh, pcfh
+from torchreg.descriptors.pfh import Pfh, pfh
+from torchreg.descriptors.pfhrgb import PfhRgb, pfhrgb
+from torchreg.descriptors.shape_context import ShapeContext, shape_context
+from torchreg.descriptors.shot import Cshot, Shot, cshot, shot
+from torchreg.descriptors.spin_images import SpinImages, spin_images
+from torchreg.descriptors.unique_shape_context import UniqueShapeContext, unique_shape_context
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
@@ -95,6 +102,7 @@ __all__ = [
     "CompatibilityOptions",
     "Contrast",
     "Correspondences",
+    "Cshot",
     "Descriptor",
     "Failure",
     "FarthestKeypoints",
@@ -110,14 +118,20 @@ __all__ = [
     "Learned",
     "Neighborhoods",
     "Pcfh",
+    "Pfh",
+    "PfhRgb",
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "ShapeContext",
+    "Shot",
     "SiteResult",
     "SoftCorrespondences",
     "Solver",
+    "SpinImages",
     "Super4pcsOptions",
     "UniformKeypoints",
+    "UniqueShapeContext",
     "Verification",
     "__version__",
     "augment",
@@ -125,6 +139,7 @@ __all__ = [
     "compatibility",
     "compiled_kernels",
     "contrast",
+    "cshot",
     "datasets",
     "derive_options",
     "estimate_normals",
@@ -140,6 +155,7 @@ __all__ = [
     "iss_keypoints",
     "kabsch",
     "learning",
+    "local_frames",
     "match_mutual",
     "metrics",
     "native_kernels",
@@ -148,6 +164,8 @@ __all__ = [
     "nn",
     "options_for",
     "pcfh",
+    "pfh",
+    "pfhrgb",
     "random_downsample",
     "ransac",
     "read_cloud",
@@ -157,9 +175,12 @@ __all__ = [
     "register_features",
     "register_matches",
     "register_site",
+    "shape_context",
+    "shot",
     "soft_equalize",
     "soft_match",
     "spacing",
+    "spin_images",
     "super4pcs",
     "synthetic",
     "to_numpy",
@@ -168,6 +189,7 @@ __all__ = [
     "to_pytorch3d",
     "transform",
     "uniform_keypoints",
+    "unique_shape_context",
     "verify",
     "voxel_downsample",
     "write_cloud",

@@ -1,5 +1,7 @@
 """Kernels of descriptors: the bits of the functions in torch, which keep their own tests."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from determinism import same_bits
@@ -12,7 +14,17 @@ from torchreg.native import native_library, torch_on_one_thread
 
 pytestmark = pytest.mark.skipif(not native_library(), reason="no compiler was at hand when the package was installed")
 
-DESCRIPTORS = [tr.estimate_normals, tr.fpfh, tr.pcfh, lambda cloud, near: tr.contrast(cloud, near, 0.4)]
+DESCRIPTORS = [
+    tr.estimate_normals,
+    tr.fpfh,
+    tr.pcfh,
+    lambda cloud, near: tr.contrast(cloud, near, 0.4),
+    tr.pfh,
+    tr.pfhrgb,
+    tr.local_frames,
+    tr.shot,
+    tr.cshot,
+]
 everywhere = pytest.mark.parametrize(("count", "kind"), [(count, kind) for count in COUNTS for kind in KINDS])
 
 
@@ -49,6 +61,42 @@ def test_contrast_is_that_of_torch(count, kind):
     assert same_both_ways(lambda: tr.contrast(cloud, near, 0.5))
     radius = torch.linspace(0.1, 0.6, count)
     assert same_both_ways(lambda: tr.contrast(cloud, near, radius))
+
+
+@everywhere
+@pytest.mark.parametrize("describe", [tr.pfh, tr.pfhrgb])
+def test_pair_histograms_are_those_of_torch(count, kind, describe):
+    cloud = cloud_of(count)
+    near = supports(cloud)[kind]
+    assert same_both_ways(lambda: describe(cloud, near))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pair_histograms_are_those_of_torch_on_other_clouds(seed):
+    cloud = cloud_of(300, seed)
+    near = tr.neighbors(cloud, 0.5, 80)
+    assert same_both_ways(lambda: (tr.pfh(cloud, near), tr.pfhrgb(cloud, near)))
+
+
+@everywhere
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_local_frames_are_those_of_torch(count, kind, dtype):
+    cloud = cloud_of(count, dtype=dtype)
+    near = replace(supports(cloud)[kind], radius=0.4)
+    assert same_both_ways(lambda: tr.local_frames(cloud, near))
+    each = replace(near, radius=torch.linspace(0.3, 0.6, count))
+    assert same_both_ways(lambda: tr.local_frames(cloud, each))
+
+
+@everywhere
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_shot_is_that_of_torch(count, kind, dtype):
+    cloud = cloud_of(count, dtype=dtype)
+    near = replace(supports(cloud)[kind], radius=0.4)
+    frames = torch.eye(3, dtype=dtype).expand(count, 3, 3)  # which every cloud has neighbors on the axes of
+    for given in (None, frames):
+        assert same_both_ways(lambda given=given: tr.shot(cloud, near, frames=given))
+        assert same_both_ways(lambda given=given: tr.cshot(cloud, near, frames=given))
 
 
 @pytest.mark.parametrize("seed", range(5))
