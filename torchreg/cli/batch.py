@@ -21,7 +21,7 @@ from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
 from torchreg.cli.work import Work
 from torchreg.declaration import declared
-from torchreg.errors import expect, positive
+from torchreg.errors import expect_in_words, positive
 from torchreg.settings import PairSettings
 
 _LISTED_FILES = 20  # that do not exist, by name
@@ -92,7 +92,7 @@ class PairList:
         if self.pairs is not None and self.all_pairs is None:
             return pairs_of_file(self.pairs, settings)
         both = "neither" if self.pairs is None else "both"
-        expect(self.pairs is None and self.all_pairs is not None, "PAIRS", "a pairs file or --all-pairs", both)
+        expect_in_words(self.pairs is None and self.all_pairs is not None, "PAIRS", "a pairs file or --all-pairs", both)
         return pairs_of_glob(self.all_pairs or "", settings)
 
 

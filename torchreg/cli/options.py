@@ -10,7 +10,7 @@ import torch
 import typer
 
 from torchreg.cli.expand import option_of
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.settings import Settings
 
 INPUT, RUN, OUTPUT = "Input", "Run", "Output"
@@ -61,7 +61,9 @@ def use(device: Device, threads: int | None) -> torch.device:
         ValueError: a GPU is asked for and PyTorch finds none.
     """
     there = device is Device.cpu or torch.cuda.is_available()
-    expect(there, "--device", "cpu, or cuda where PyTorch finds a GPU", f"{device.value}, and it finds none")
+    expect_in_words(
+        there, "--device", "cpu, or cuda where PyTorch finds a GPU", f"{device.value}, but PyTorch finds none"
+    )
     if threads is not None:
         torch.set_num_threads(threads)
     return torch.device(device.value)

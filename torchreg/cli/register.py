@@ -15,7 +15,7 @@ from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
 from torchreg.cli.pair import PairArguments, ReadPair, options_of_pair, read_pair
 from torchreg.cli.progress import step
-from torchreg.errors import expect, one_of
+from torchreg.errors import expect, expect_in_words, one_of
 from torchreg.io.formats import WRITERS, alternatives
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
 from torchreg.metrics import PoseErrors, pose_errors
@@ -119,7 +119,7 @@ class Outputs:
         idle = self.transform is None and self.transform_format != "matrix"
         expect(not idle, "--transform-format", "--transform beside it", self.transform_format)
         forced = not self.force or self.transform is not None or self.aligned is not None
-        expect(forced, "--force", "--transform or --aligned beside it", "neither")
+        expect_in_words(forced, "--force", "--transform or --aligned beside it", "neither")
         outputs = (
             Output("--json", self.json),
             Output("--transform", self.transform),

@@ -13,7 +13,7 @@ from typing import Annotated
 import torch
 import typer
 
-from torchreg.errors import expect, positive
+from torchreg.errors import expect, expect_in_words, positive
 from torchreg.io.atomic import write_text
 from torchreg.io.csv_cells import cell_of_text
 from torchreg.io.poses_csv import read_poses_csv
@@ -115,7 +115,7 @@ class HowToFrame:
         """
         poses: tuple[tuple[int, torch.Tensor], ...] = ()
         if self.poses == OF_FILES:
-            expect(any(posed), "--poses", "files with poses, such as E57 and PTX have", "none that has one")
+            expect_in_words(any(posed), "--poses", "files with poses, such as E57 and PTX have", "none that has one")
             eye = torch.eye(4, dtype=torch.float64)
             poses = tuple((scan, eye) for scan, there in enumerate(posed) if there)
         elif self.poses is not None:

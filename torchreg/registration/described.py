@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.refinement.surfels import Surfels
 from torchreg.registration.inspect import CloudFacts
 from torchreg.types import Clouds, Features
@@ -170,5 +170,5 @@ def _joined(parts: Sequence[Features], offsets: Tensor) -> Features:
 def _packed(parts: Sequence[Surfels | None]) -> Surfels | None:
     """The surfels of all parts, which have the same descriptions; ``None`` where they have none."""
     there = [part for part in parts if part is not None]
-    expect(len(there) in (0, len(parts)), "parts", "surfels in all of them or in none", f"in {len(there)}")
+    expect_in_words(len(there) in (0, len(parts)), "parts", "surfels in all of them or in none", f"in {len(there)}")
     return Surfels.pack(there) if there else None
