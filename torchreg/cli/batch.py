@@ -105,7 +105,7 @@ def batch(
         Path,
         typer.Option(
             "--out",
-            metavar="DIR",
+            metavar="FOLDER",
             help="Folder of the results, made if need be; an unfinished run there is resumed.",
             rich_help_panel=opt.OUTPUT,
         ),
@@ -116,7 +116,7 @@ def batch(
     The same command resumes a run that was cut off: no finished pair is lost or computed again. All lengths are in
     meters.
 
-    DIR holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
+    FOLDER holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
 
     Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, for
     example because a cloud could not be read; the same command tries these again.

@@ -38,8 +38,8 @@ class Outputs:
         typer.Option(
             "--transform",
             metavar="FILE.txt",
-            help="Write the transform as four lines of four numbers, its translation in meters; nothing where the "
-            "pair was refused.",
+            help="Write the transform as four lines of four numbers, its translation in meters; not written if the "
+            "pair is refused.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -61,8 +61,8 @@ class Outputs:
             "--aligned",
             metavar="FILE.ply",
             help="Write the whole source in the frame of the target, coordinates in meters, as a "
-            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so. Nothing where "
-            "the pair was refused.",
+            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so. Not written "
+            "if the pair is refused.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -79,7 +79,7 @@ class Outputs:
         typer.Option(
             "--figure",
             metavar="FILE.png",
-            help="Draw both clouds before and after, or under the likeliest pose of a refused pair, from three sides, "
+            help="Draw both clouds before and after (of a refused pair: under its likeliest pose), from three sides, "
             f"axes in meters, as a {_FIGURES} file.",
             rich_help_panel=opt.OUTPUT,
         ),
