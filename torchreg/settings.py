@@ -80,13 +80,13 @@ class StageSettings:
     scan: str | None = setting(
         None,
         "Input",
-        "Which scan to read of a file that has several: its number, counted from 0, or its name.",
+        "Which scan of a file that has several: its number, counted from 0, or its name; by default the only one.",
         metavar="NUMBER|NAME",
     )
     target_scan: str | None = setting(
         None,
         "Input",
-        "Which scan to read of the target's file, if not the one that --scan names.",
+        "Which scan to read of the target's file; by default the one that --scan names.",
         metavar="NUMBER|NAME",
     )
     columns: str | None = setting(
@@ -144,7 +144,7 @@ class StageSettings:
     confidence: float | None = setting(
         None,
         "Search",
-        "RANSAC, where it runs, stops once it has drawn the best sample with this probability, above 0 and up to 1; "
+        "Probability, above 0 and up to 1, of having drawn the best sample, at which RANSAC, where it runs, stops; "
         f"1 draws all samples; by default {_RANSAC.confidence:g}.",
         metavar="PROBABILITY",
         change=_ransac_field("confidence"),
