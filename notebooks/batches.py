@@ -7,8 +7,6 @@
 # %%
 from __future__ import annotations
 
-import time
-
 import torch
 from matplotlib import pyplot as plt
 
@@ -53,9 +51,7 @@ print(f"the fourth cloud has the same bits alone and in the batch: {same}")
 # Every pair has a probability that its pose is right, and a reason where it is refused; it leaves the others alone.
 
 # %%
-begin_time = time.perf_counter()
 result = tr.register(sources, targets)
-print(f"{time.perf_counter() - begin_time:.1f} s for {len(result)} pairs")
 angle = tr.metrics.rre(truth, result.T_target_source[:6]).tolist()
 names = [*(f"{degrees:.3f} degrees off" for degrees in angle), "two halls", "empty target"]
 for name, success, probability, reason in zip(names, result.success, result.probability, result.reason, strict=True):
