@@ -22,6 +22,31 @@ def test_import_loads_nothing_heavy():
     assert loaded.isdisjoint((*HEAVY, "torchreg.report"))
 
 
+def test_tensors_are_described_and_registered_with_torch_numpy_and_psutil_alone():
+    others = (
+        "open3d",
+        "libusb_package",
+        "kornia",
+        "matplotlib",
+        "pyarrow",
+        "filelock",
+        "typer",
+        "rich",
+        "laspy",
+        "lzf",
+    )
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({others}))  # an import of any of these fails from here
+import torch, torchreg as tr
+cloud = tr.Clouds(torch.rand(300, 3, generator=torch.Generator().manual_seed(0)))
+near = tr.neighbors(cloud, radius=0.3, max_neighbors=30)
+tr.fpfh(tr.estimate_normals(cloud, near), near)
+tr.register(cloud, cloud)
+"""
+    assert "torchreg.registration.register" in modules_after(code)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["augment", "datasets", "learning", "nn", "reference", "synthetic"])
 def test_submodules_come_on_first_use(name):

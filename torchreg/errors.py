@@ -31,6 +31,12 @@ def expect(condition: bool, name: str, expected: str, received: object) -> None:
         raise ValueError(f"{name}: expected {expected}, got {describe(received)}")
 
 
+def expect_in_words(condition: bool, name: str, expected: str, received: str) -> None:
+    """As ``expect``, where what came is said in words, which stand without quotes: ``got 3 clouds``."""
+    if not condition:
+        raise ValueError(f"{name}: expected {expected}, got {received}")
+
+
 def describe(value: object) -> str:
     """The shape, dtype and device of a tensor, the ``repr`` of anything else (shortened)."""
     if isinstance(value, Tensor):

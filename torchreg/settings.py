@@ -66,57 +66,57 @@ class StageSettings:
     points: int | None = setting(
         None,
         "Input",
-        "Keep this many points of each cloud, chosen at random before anything else; by default all of them.",
+        "Keep this many points of each cloud, drawn at random before anything else; by default all are kept.",
         metavar="COUNT",
         least=1,
     )
     viewpoint: str = setting(
         "auto",
         "Input",
-        "Position of the scanner, towards which normals are turned. auto: as the file says; where it says nothing, "
-        "the zero of its frame is assumed, and that guess is no evidence for or against a pose. origin: the scanner "
-        "stood at that zero. none: not known. X,Y,Z: a known position in meters in the frame of both files.",
+        "Where the scanner stood; normals are turned towards it. auto: where the file says, else at the zero of its "
+        "frame, a guess that is no evidence for or against a pose. origin: it did stand at that zero. none: nobody "
+        "knows. X,Y,Z: there, in meters, in the frame of every file.",
         metavar="auto|origin|none|X,Y,Z",
     )
     scan: str | None = setting(
         None,
         "Input",
-        "Which scan of a file with several, by its number, counted from 0, or its name; by default the only one.",
+        "Which scan of a file that has several: its number, counted from 0, or its name; by default the only one.",
         metavar="NUMBER|NAME",
     )
     target_scan: str | None = setting(
         None,
         "Input",
-        "Which scan of the target's file, where it is another; by default the one that --scan names.",
+        "Which scan to read of the target's file; by default the one that --scan names.",
         metavar="NUMBER|NAME",
     )
     columns: str | None = setting(
         None,
         "Input",
-        "Columns of text files, such as 'x y z intensity red green blue', with _ for one to skip; by default as a "
-        "header or the numbers tell.",
+        "What the columns of text files hold, such as 'x y z intensity red green blue', with _ for one to skip; by "
+        "default a header says it, or the numbers are looked at.",
         metavar="NAMES",
     )
     units: str | None = setting(
         None,
         "Input",
-        "Unit of the files; by default their numbers are taken for meters. file: the one that each names.",
+        "Unit of the coordinates in the files; by default meters. file: the unit that each file names.",
         choices=UNITS,
     )
-    intensity: bool = setting(False, "Input", "Use the intensity as gray colors, where a file has no colors.")
+    intensity: bool = setting(False, "Input", "Use intensities as gray colors where a file has no colors.")
     preset: str = setting(
         "default",
         "Lengths",
         "Options to start from. default: every length follows from the spacing of the points. paper: the lengths of "
-        "the paper in meters, for scans of buildings, with FPFH and PCFH of equalized hue. learned: the same "
-        "with color features that were trained.",
+        "the paper, in meters, for scans of buildings, with FPFH and PCFH of equalized hue. learned: the same "
+        "lengths with trained color features.",
         choices=tuple(PRESETS),
     )
     voxel: float | None = _length(
         _field("voxel_size"),
-        "Edge in meters of the voxels over which points are averaged first; by default only clouds of more than "
-        f"{MAX_POINTS:,} points or of unequal density are averaged. Larger files than {LARGEST_READ:,} points are "
-        "thinned while they are read.",
+        "Edge in meters of the voxels in which points are averaged first; by default only for clouds of more than "
+        f"{MAX_POINTS:,} points or of uneven density. Files of more than {LARGEST_READ:,} points are thinned "
+        "while they are read in any case.",
     )
     normal_radius: float | None = _length(
         _field("normal_radius"), "Support radius of a normal, in meters; by default twice the spacing of the points."
@@ -131,13 +131,13 @@ class StageSettings:
     )
     inlier_threshold: float | None = _length(
         _ransac_field("inlier_threshold"),
-        "Distance in meters beyond which a match counts as an outlier of a transform; by default 1.5 times the spacing "
-        "of the points.",
+        "A match is an inlier of a transform that misses it by no more than this, in meters; by default 1.5 times the "
+        "spacing of the points.",
     )
     hypotheses: int | None = setting(
         None,
         "Search",
-        f"Largest number of minimal samples that RANSAC draws, where it runs; by default {_RANSAC.hypotheses:,}.",
+        f"How many minimal samples RANSAC draws at most, where it runs; by default {_RANSAC.hypotheses:,}.",
         metavar="COUNT",
         change=_ransac_field("hypotheses"),
         of_ransac=True,
@@ -145,8 +145,8 @@ class StageSettings:
     confidence: float | None = setting(
         None,
         "Search",
-        "Probability, above 0 up to 1, of having drawn a better sample, at which RANSAC stops drawing, where it runs; "
-        f"1 draws all; by default {_RANSAC.confidence:g}.",
+        "Probability, above 0 and up to 1, of having drawn the best sample, at which RANSAC, where it runs, stops; "
+        f"1 draws all samples; by default {_RANSAC.confidence:g}.",
         metavar="PROBABILITY",
         change=_ransac_field("confidence"),
         of_ransac=True,
@@ -154,13 +154,13 @@ class StageSettings:
     no_color: bool = setting(
         False,
         "Search",
-        "Leave color out of the features: register by geometry alone.",
+        "Register by geometry alone: no color in the features.",
         change=lambda options, _: options.without_color(),
     )
     seed: int = setting(
         0,
         "Run",
-        "Seed of every random draw, any whole number: the same seed gives the same result.",
+        "Seed of all random draws, any whole number: the same seed gives the same result.",
         metavar="NUMBER",
     )
 
@@ -251,25 +251,25 @@ class Settings(StageSettings):
         None,
         "Search",
         "Work spent per pair; by default balanced, and plain with the presets paper and learned. plain: one set of "
-        "features and one solver, as in the paper. With the others, candidate poses compete on the clouds themselves, "
-        "from one set of features (fast), with a second look at pairs in doubt (balanced), or from all sets, both "
-        "solvers and always two looks (thorough).",
+        "features and one solver, as in the paper, and no verdict. With the others, candidate poses compete "
+        "on the clouds themselves. fast: candidates from one set of features. balanced: and a second look at pairs in "
+        "doubt. thorough: from all sets and both solvers, and always a second look.",
         choices=EFFORTS,
         change=_field("effort"),
     )
     refine: str | None = setting(
         None,
         "Search",
-        "How far the pose is refined at the end; by default full, and none with the presets paper and learned and the "
-        "effort plain. none: as it was found. coarse: on the thinned clouds. full: on the clouds as they were read, to "
-        "a part of their noise, with residuals and the deviation of the pose.",
+        "How far the pose is refined at the end; by default full, and none with the presets paper and learned and with "
+        "the effort plain. none: not at all. coarse: on the thinned clouds. full: on the clouds as they were read, to "
+        "a fraction of their noise, with residuals and the standard deviation of the pose.",
         choices=REFINEMENTS,
         change=_field("refine"),
     )
     refine_points: int | None = setting(
         None,
         "Search",
-        f"Small planes of each cloud that the pose is refined on, about; by default {REFINE_POINTS:,}.",
+        f"About how many small planes of each cloud the pose is refined on; by default {REFINE_POINTS:,}.",
         metavar="COUNT",
         least=100,
         change=_field("refine_points"),
@@ -314,7 +314,8 @@ class PairSettings(Settings):
     scale: str = setting(
         "shared",
         "Lengths",
-        "Clouds whose spacing sets the default lengths of a pair. shared: all that pairs link and that are about "
-        "equally dense, so that each is described once. pair: its two clouds alone, as torchreg register.",
+        "Whose spacing sets the default lengths of a pair. shared: that of all clouds that pairs connect and that are "
+        "about equally dense, so that each is described once. pair: that of its own two clouds, as with torchreg "
+        "register.",
         choices=("shared", "pair"),
     )

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 
@@ -116,6 +117,7 @@ def kill_a_worker(process, words, kills):
     return done
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by a signal")
 @pytest.mark.parametrize(
     ("engine", "words"),
     [pytest.param("ray", "ray::load_and_compute", marks=pytest.mark.slow), ("local", "forkserver")],

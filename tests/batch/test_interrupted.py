@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from projects import finish, lines_of, make_project, start
 
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills by signals")
+
 
 def finished_pairs(out):
     """How many pairs are committed; 0 before there is a table."""

@@ -51,7 +51,7 @@ def test_refused():
         pack_pairs([])
     batch = pack_pairs([pair(0), pair(1)])
     T = batch.T_target_source
-    with refuses("source", "1 clouds, one for every name", "got '2'"):
+    with refuses("source", "1 clouds, one for every name", "got 2"):
         ScanPairBatch(batch.source, batch.target, T[:1], ("a",))
     with refuses("target", "2 clouds"):
         ScanPairBatch(batch.source, batch.target.select(0), T, batch.names)

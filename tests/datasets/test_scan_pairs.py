@@ -1,5 +1,6 @@
 """A dataset over a table: an item is what reading its files gives, and batches are their items."""
 
+import multiprocessing
 import pickle
 import subprocess
 import sys
@@ -85,7 +86,7 @@ def test_reading_needs_no_open3d(table):
     assert run.stdout.strip() == "('0__1', '1__2', '2__3')", run.stderr
 
 
-@pytest.mark.parametrize("context", [None, "fork", "spawn", "forkserver"])
+@pytest.mark.parametrize("context", [None, *multiprocessing.get_all_start_methods()])
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded, use of fork:DeprecationWarning")
 def test_workers_change_no_bit(table, batches, context):
     workers = 0 if context is None else 2
@@ -99,7 +100,8 @@ def test_workers_change_no_bit(table, batches, context):
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded, use of fork:DeprecationWarning")
 def test_workers_refuse_a_gpu(table):
     dataset = ScanPairs(table, device="cuda:0")
-    loader = DataLoader(dataset, collate_fn=pack_pairs, num_workers=1, multiprocessing_context="fork")
+    first = multiprocessing.get_all_start_methods()[0]
+    loader = DataLoader(dataset, collate_fn=pack_pairs, num_workers=1, multiprocessing_context=first)
     with pytest.raises(ValueError, match=r"(?s)device: expected the CPU in workers .*batch.to\('cuda:0'\)"):
         next(iter(loader))
 

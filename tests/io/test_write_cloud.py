@@ -149,7 +149,7 @@ def test_bad_arguments(tmp_path):
         write_cloud(tmp_path / "a.ptx", cloud)
     with pytest.raises(ValueError, match=r"^path: expected a file in a folder that exists, got "):
         write_cloud(tmp_path / "no" / "a.ply", cloud)
-    with pytest.raises(ValueError, match=r"^cloud: expected a batch of one .*, got '2 clouds'"):
+    with pytest.raises(ValueError, match=r"^cloud: expected a batch of one .*, got 2 clouds"):
         write_cloud(tmp_path / "a.ply", Clouds.pack([cloud, cloud]))
     for T in (
         torch.eye(3),

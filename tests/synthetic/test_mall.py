@@ -118,7 +118,7 @@ def test_some_points_stand_in_one_scan_only():
 
 
 def test_scan_pair_refuses_what_it_cannot_hold(pair):
-    with pytest.raises(ValueError, match="target: expected one cloud, got '2 clouds'"):
+    with pytest.raises(ValueError, match="target: expected one cloud, got 2 clouds"):
         ScanPair(pair.source, Clouds.pack([pair.target, pair.target]), pair.T_target_source, "x")
     with pytest.raises(ValueError, match="T_target_source: expected float64"):
         ScanPair(pair.source, pair.target, pair.T_target_source.float(), "x")

@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from torchreg.batch.clouds import CloudMeasures, CloudSource
 from torchreg.batch.rows import BROKEN, COLUMNS, REFUSED, REGISTERED, UNREADABLE
-from torchreg.errors import expect, one_of
+from torchreg.errors import expect, expect_in_words, one_of
 
 _KINDS: dict[str, tuple[type, ...]] = {
     "text": (str,),
@@ -55,7 +55,7 @@ class FinishedPair:
                 row["name_recorded"] == row["name"], "record", "JSON with the name of the pair", row["name_recorded"]
             )
         else:
-            expect(not row["recorded"], "record", "none of a pair without a result", "one")
+            expect_in_words(not row["recorded"], "record", "none of a pair without a result", "one")
 
 
 def known_cloud(row: sqlite3.Row) -> tuple[CloudSource, float | None, str, CloudMeasures]:

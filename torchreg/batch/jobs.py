@@ -14,7 +14,7 @@ from torchreg.batch.described_file import read_described, write_described
 from torchreg.batch.engine import CannotKeepError, Job
 from torchreg.batch.pairs import Pair
 from torchreg.batch.rows import Bounds, Row, row_of
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.registration import DescribedClouds, derive_options, register_described
 from torchreg.registration.describe import describe_by
 from torchreg.registration.described import Description
@@ -82,7 +82,7 @@ def _derive(item: DeriveItem, clouds: tuple[Clouds, Clouds], device: str) -> Reg
 def _load_cloud(item: DescribeItem) -> Clouds:
     cloud = read_source(item.source)
     same = digest_of(cloud) == item.digest
-    expect(same, item.source.path, "the cloud that it held when the run measured it", "another, changed since")
+    expect_in_words(same, item.source.path, "the cloud that it held when the run measured it", "another, changed since")
     return replace(cloud, normals=None)
 
 

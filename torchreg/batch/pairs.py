@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.arguments import checked_record
 from torchreg.entry import entry
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.io import CLOUD_SUFFIXES, read_pairs_file
 from torchreg.io.formats import AMBIGUOUS_SUFFIXES
 from torchreg.settings import PairSettings
@@ -127,7 +127,7 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
     for file in files:
         legal = file.isprintable() and not any("\ud800" <= letter <= "\udfff" for letter in file)
         expect(legal, "all pairs", "file names that can be written down", file)
-    expect(
+    expect_in_words(
         len(files) >= 2,
         "all pairs",
         f"a pattern that names at least two clouds ({', '.join(CLOUD_SUFFIXES)})",

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.io.atomic import remove_remains, write_text
 
 _Folder = TypeVar("_Folder", bound="RunFolder")
@@ -47,7 +47,7 @@ class RunFolder:
     ) -> None:
         self.folder = folder
         self._file = folder / database
-        expect(folder.absolute().parent.is_dir(), str(folder), "a folder in one that exists", "none there")
+        expect_in_words(folder.absolute().parent.is_dir(), str(folder), "a folder in one that exists", "none there")
         expect_run_folder(folder, before)
         known = folder / "run.json"
         for name in (".lock", "run.json", database, "described", *folders, *before):
@@ -126,7 +126,7 @@ def expect_run_folder(folder: Path, before: Sequence[str] = ()) -> None:
     Raises:
         ValueError: it is a file, or holds something else.
     """
-    expect(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
+    expect_in_words(not folder.exists() or folder.is_dir(), str(folder), "a folder", "a file")
     if folder.is_dir() and not (folder / "run.json").exists():
         # a run that was killed at once may have left a lock or a part of run.json
         names = (path.name for path in folder.iterdir())

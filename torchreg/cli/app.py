@@ -52,6 +52,6 @@ def torchreg(
 ) -> None:
     """Register colored point clouds without a first guess: geometric and color features, mutual matches, robust poses.
 
-    Exit codes: 0 a successful registration or a right transform, 2 bad usage or an unreadable file, 3 a registration
-    that failed or a transform that is not right; for those of batch and site see their help.
+    Exit codes: 0, the pair is registered, or the transform is right; 2, bad usage, or a file that cannot be read; 3,
+    the pair is refused, or the transform is not right. The help of batch and site says what theirs mean.
     """

@@ -21,7 +21,7 @@ from torchreg.cli.output import standard_output, write_json
 from torchreg.cli.progress import batch_progress
 from torchreg.cli.work import Work
 from torchreg.declaration import declared
-from torchreg.errors import expect, positive
+from torchreg.errors import expect_in_words, positive
 from torchreg.settings import PairSettings
 
 _LISTED_FILES = 20  # that do not exist, by name
@@ -92,7 +92,7 @@ class PairList:
         if self.pairs is not None and self.all_pairs is None:
             return pairs_of_file(self.pairs, settings)
         both = "neither" if self.pairs is None else "both"
-        expect(self.pairs is None and self.all_pairs is not None, "PAIRS", "a pairs file or --all-pairs", both)
+        expect_in_words(self.pairs is None and self.all_pairs is not None, "PAIRS", "a pairs file or --all-pairs", both)
         return pairs_of_glob(self.all_pairs or "", settings)
 
 
@@ -105,7 +105,7 @@ def batch(
         Path,
         typer.Option(
             "--out",
-            metavar="DIR",
+            metavar="FOLDER",
             help="Folder of the results, made if need be; an unfinished run there is resumed.",
             rich_help_panel=opt.OUTPUT,
         ),
@@ -116,7 +116,7 @@ def batch(
     The same command resumes a run that was cut off: no finished pair is lost or computed again. All lengths are in
     meters.
 
-    DIR holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
+    FOLDER holds results.csv, results.json and results.parquet, summary.json, times.csv, and pairs/NAME.json for each.
 
     Exit code 0: every pair has its result, registered or refused. 2: bad usage. 3: some pairs have none, for
     example because a cloud could not be read; the same command tries these again.

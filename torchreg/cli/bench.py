@@ -16,7 +16,7 @@ from torchreg.cli import options as opt
 from torchreg.cli.expand import expanded
 from torchreg.cli.guard import GuardedGroup, complain
 from torchreg.cli.output import standard_output
-from torchreg.errors import at_least, expect, positive
+from torchreg.errors import at_least, expect, expect_in_words, positive
 from torchreg.report.text import legible
 
 bench = typer.Typer(
@@ -362,8 +362,8 @@ def speed(
     _expect_folder(out)
     place = opt.use(device, threads)
     on_cpu = place.type == "cpu"
-    expect(data is None or on_cpu, "--data", "--device cpu beside it, where peers run", f"--device {place}")
-    expect(seconds is None or not on_cpu, "--seconds", "--device cuda beside it", f"--device {place}")
+    expect_in_words(data is None or on_cpu, "--data", "--device cpu beside it, where peers run", f"--device {place}")
+    expect_in_words(seconds is None or not on_cpu, "--seconds", "--device cuda beside it", f"--device {place}")
     counts = (POINTS if on_cpu else DEVICE_POINTS) if points is None else _counts(points, "--points", 100)
     if on_cpu:
         study = speed_study(counts, repeats=repeats, quick=quick, data=data)

@@ -67,7 +67,7 @@ def option_of(group: type, name: str) -> Any:  # noqa: ANN401
     return typer.Option(
         _flag(name),
         help=setting.help,
-        metavar=setting.metavar,
+        metavar=setting.metavar or (f"<{'|'.join(setting.choices)}>" if setting.choices else None),
         min=setting.least,
         rich_help_panel=setting.panel,
     )

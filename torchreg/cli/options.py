@@ -10,7 +10,7 @@ import torch
 import typer
 
 from torchreg.cli.expand import option_of
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.settings import Settings
 
 INPUT, RUN, OUTPUT = "Input", "Run", "Output"
@@ -30,7 +30,7 @@ ColumnsText = Annotated[str | None, option_of(Settings, "columns")]
 UnitsText = Annotated[str | None, option_of(Settings, "units")]
 Seed = Annotated[int, option_of(Settings, "seed")]
 DeviceName = Annotated[
-    Device, typer.Option("--device", help="Where to compute: on the processor or on a GPU.", rich_help_panel=RUN)
+    Device, typer.Option("--device", help="Where to compute: cpu, or cuda for a GPU.", rich_help_panel=RUN)
 ]
 Threads = Annotated[
     int | None,
@@ -38,7 +38,7 @@ Threads = Annotated[
         "--threads",
         metavar="COUNT",
         min=1,
-        help="Processor threads to use; by default as many as PyTorch chooses.",
+        help="How many threads to use; by default as many as PyTorch chooses.",
         rich_help_panel=RUN,
     ),
 ]
@@ -47,8 +47,8 @@ JsonFile = Annotated[
     typer.Option(
         "--json",
         metavar="FILE",
-        help="Write the result as JSON, lengths in meters and times in seconds; - is standard output, with nothing "
-        "else on it.",
+        help="Write the result as JSON, lengths in meters and times in seconds; - writes it to standard output, and "
+        "nothing else.",
         rich_help_panel=OUTPUT,
     ),
 ]
@@ -61,7 +61,9 @@ def use(device: Device, threads: int | None) -> torch.device:
         ValueError: a GPU is asked for and PyTorch finds none.
     """
     there = device is Device.cpu or torch.cuda.is_available()
-    expect(there, "--device", "cpu, or cuda where PyTorch finds a GPU", f"{device.value}, and it finds none")
+    expect_in_words(
+        there, "--device", "cpu, or cuda where PyTorch finds a GPU", f"{device.value}, but PyTorch finds none"
+    )
     if threads is not None:
         torch.set_num_threads(threads)
     return torch.device(device.value)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import typer
 from rich.console import Console
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.io.atomic import write_text
 
 STANDARD_OUTPUT = Path("-")
@@ -39,9 +39,9 @@ def check_outputs(outputs: Sequence[Output], inputs: Sequence[Path]) -> None:
         known = not suffixes or path.suffix.lower() in suffixes
         expect(known, option, "a name that ends in " + " or ".join(suffixes), os.fspath(path))
         expect(path.absolute().parent.is_dir(), option, "a file in a folder that exists", os.fspath(path))
-        expect(not path.is_dir(), option, "a file", f"the folder {os.fspath(path)}")
+        expect_in_words(not path.is_dir(), option, "a file", f"the folder {os.fspath(path)}")
         real = os.path.realpath(path)
-        expect(real not in taken, option, "a file of its own", f"{os.fspath(path)}, {taken.get(real)}")
+        expect_in_words(real not in taken, option, "a file of its own", f"{os.fspath(path)}, {taken.get(real)}")
         taken[real] = f"which {option} writes too"
 
 

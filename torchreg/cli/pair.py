@@ -42,8 +42,8 @@ class PairArguments(CloudArguments):
         typer.Option(
             "--truth",
             metavar="FILE",
-            help="File of the true transform, 4x4 text or JSON, in meters; adds the errors RRE in degrees, RTE (at "
-            "the origin of the source) and RMSE in meters to the result.",
+            help="File of the true transform, if it is known: 4x4 as text or JSON, in meters. Adds the errors to the "
+            "result: RRE in degrees, RTE (at the origin of the source) and RMSE in meters.",
             rich_help_panel=INPUT,
         ),
     ] = None

@@ -16,7 +16,7 @@ from torchreg.cli.guard import complain
 from torchreg.cli.output import Output
 from torchreg.cli.progress import step
 from torchreg.cli.wording import by_options
-from torchreg.errors import CloudFileError, expect
+from torchreg.errors import CloudFileError, expect, expect_in_words
 from torchreg.io import CloudFile, PointFields, PosedScan, Reading, each_scan, posed_scan, write_cloud, write_scans
 from torchreg.io.formats import CAPACITIES, SCANS_WRITERS, UNREAD, alternatives
 from torchreg.io.written import narrowest
@@ -67,7 +67,7 @@ def check_placed(placed: Path | None, suffix: str | None, inputs: Sequence[Path]
     expect(known, "--placed-format", alternatives(PLACED_SUFFIXES), suffix)
     for path in inputs:
         inside = os.path.realpath(path).startswith(os.path.join(os.path.realpath(placed), ""))
-        expect(not inside, "--placed", "a folder without scans that are read", f"{placed}, which holds {path}")
+        expect_in_words(not inside, "--placed", "a folder without scans that are read", f"{placed}, which holds {path}")
         fits = suffix is not None or path.suffix.lower() in PLACED_SUFFIXES
         needed = f"{alternatives(PLACED_SUFFIXES)}, since {path.name} cannot be written as what it is"
         expect(fits, "--placed-format", needed, suffix)

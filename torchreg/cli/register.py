@@ -15,7 +15,7 @@ from torchreg.cli.guard import NOT_REGISTERED, complain
 from torchreg.cli.output import STANDARD_OUTPUT, Output, check_outputs, standard_output, write_json
 from torchreg.cli.pair import PairArguments, ReadPair, options_of_pair, read_pair
 from torchreg.cli.progress import step
-from torchreg.errors import expect, one_of
+from torchreg.errors import expect, expect_in_words, one_of
 from torchreg.io.formats import WRITERS, alternatives
 from torchreg.io.transform_formats import TRANSFORM_FORMATS
 from torchreg.metrics import PoseErrors, pose_errors
@@ -38,8 +38,8 @@ class Outputs:
         typer.Option(
             "--transform",
             metavar="FILE.txt",
-            help="Write the transform as four lines of four numbers, its translation in meters; nothing where the "
-            "pair was refused.",
+            help="Write the transform as four lines of four numbers, its translation in meters; not written if the "
+            "pair is refused.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -61,8 +61,8 @@ class Outputs:
             "--aligned",
             metavar="FILE.ply",
             help="Write the whole source in the frame of the target, coordinates in meters, as a "
-            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so. Nothing where "
-            "the pair was refused.",
+            f"{alternatives(WRITERS)} file; points that were averaged while they were read stay so. Not written "
+            "if the pair is refused.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -79,7 +79,7 @@ class Outputs:
         typer.Option(
             "--figure",
             metavar="FILE.png",
-            help="Draw both clouds before and after, or under the likeliest pose of a refused pair, from three sides, "
+            help="Draw both clouds before and after (of a refused pair: under its likeliest pose), from three sides, "
             f"axes in meters, as a {_FIGURES} file.",
             rich_help_panel=opt.OUTPUT,
         ),
@@ -119,7 +119,7 @@ class Outputs:
         idle = self.transform is None and self.transform_format != "matrix"
         expect(not idle, "--transform-format", "--transform beside it", self.transform_format)
         forced = not self.force or self.transform is not None or self.aligned is not None
-        expect(forced, "--force", "--transform or --aligned beside it", "neither")
+        expect_in_words(forced, "--force", "--transform or --aligned beside it", "neither")
         outputs = (
             Output("--json", self.json),
             Output("--transform", self.transform),

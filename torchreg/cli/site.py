@@ -54,8 +54,8 @@ class HowToRead:
         typer.Option(
             "--voxel",
             metavar="METERS",
-            help="Edge in meters of the cubes in which points are averaged while they are read; by default only scans "
-            f"of more than {LARGEST_READ:,} points are.",
+            help="Edge in meters of the cubes in which points are averaged while they are read; by default only "
+            f"for scans of more than {LARGEST_READ:,} points.",
             rich_help_panel=opt.INPUT,
         ),
     ] = None
@@ -85,8 +85,8 @@ class Sharing:
         typer.Option(
             "--shard",
             metavar="K/N",
-            help="Register the Kth of N shares of the pairs and stop, such as in a job array; then the same command "
-            "without --shard takes over what all found.",
+            help="Register the Kth of N shares of the pairs and stop, as one job of an array; the same command without "
+            "--shard then takes over what all of them found.",
             rich_help_panel=opt.RUN,
         ),
     ] = None
@@ -108,7 +108,7 @@ def site(
         Path,
         typer.Option(
             "--out",
-            metavar="DIR",
+            metavar="FOLDER",
             help="Folder of the results, made if need be; an unfinished run there is resumed.",
             rich_help_panel=opt.OUTPUT,
         ),
@@ -129,10 +129,10 @@ def site(
 
     The same command resumes a run that was cut off: no finished pair is lost or computed again.
 
-    DIR gets poses.csv (scan, group, m00 to m33: x_world = R x_scan + t, row by row, in the frame of each scan's file;
-    empty where a scan is not placed) and site.json (poses with their covariances, every candidate of every pair with
-    its verdict). Group 0 is the largest; groups that do not connect have frames of their own, level where half of the
-    scans agree about up. Known poses and control points (control.csv: their residuals) fix the frame instead.
+    FOLDER gets poses.csv (scan, group, m00 to m33: x_world = R x_scan + t, row by row, from the frame of each scan's
+    file; empty where a scan is not placed) and site.json (poses with their covariances, every candidate of every pair
+    with its verdict). Group 0 is the largest; groups that do not connect have frames of their own, level where half of
+    the scans agree about up. Known poses and control points (control.csv: their residuals) fix the frame instead.
 
     Exit code 0: all scans are placed in one frame. 2: bad usage, or no scan can be read. 3: some scans are not placed
     or not in one frame; the results say which and why.

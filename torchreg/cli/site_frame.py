@@ -13,7 +13,7 @@ from typing import Annotated
 import torch
 import typer
 
-from torchreg.errors import expect, positive
+from torchreg.errors import expect, expect_in_words, positive
 from torchreg.io.atomic import write_text
 from torchreg.io.csv_cells import cell_of_text
 from torchreg.io.poses_csv import read_poses_csv
@@ -37,8 +37,8 @@ class HowToFrame:
         typer.Option(
             "--fix",
             metavar="SCAN",
-            help="The scan that stays where it is, by its name or number (from 0): in the frame of its file, or at its "
-            "pose of --poses.",
+            help="The scan that stays where it is, by its name or its number (from 0): in the frame of its file, or "
+            "at the pose that --poses gives it.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -47,8 +47,8 @@ class HowToFrame:
         typer.Option(
             "--poses",
             metavar="FILE.csv",
-            help="Poses that are known beforehand, as a table like poses.csv, in meters; the word files stands for "
-            "those that E57 and PTX files hold.",
+            help="Poses that are known beforehand: a table like poses.csv, in meters, or the word files for those "
+            "that E57 and PTX files hold.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -84,7 +84,7 @@ class HowToFrame:
         bool,
         typer.Option(
             "--level/--no-level",
-            help="Turn frames that nothing else fixes so that z is up, where half of the scans agree about up.",
+            help="Turn frames that nothing else fixes so that z points up, where half of the scans agree about it.",
             rich_help_panel=_PANEL,
         ),
     ] = True
@@ -115,7 +115,7 @@ class HowToFrame:
         """
         poses: tuple[tuple[int, torch.Tensor], ...] = ()
         if self.poses == OF_FILES:
-            expect(any(posed), "--poses", "files with poses, such as E57 and PTX have", "none that has one")
+            expect_in_words(any(posed), "--poses", "files with poses, such as E57 and PTX have", "files without poses")
             eye = torch.eye(4, dtype=torch.float64)
             poses = tuple((scan, eye) for scan, there in enumerate(posed) if there)
         elif self.poses is not None:

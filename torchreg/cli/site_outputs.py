@@ -47,7 +47,7 @@ class SiteOutputs:
         typer.Option(
             "--spacing",
             metavar="METERS",
-            help="Edge in meters of the cubes over which the points of --merged are averaged.",
+            help="Edge in meters of the cubes in which the points of --merged are averaged.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = 0.02
@@ -55,10 +55,10 @@ class SiteOutputs:
         Path | None,
         typer.Option(
             "--placed",
-            metavar="DIR|FILE.e57",
-            help="Write every placed scan with its new pose, at full resolution: into a folder, each as what it came "
-            "(E57 and PTX with poses in their headers, others with their points moved), or the scans of the largest "
-            f"group into one {alternatives(SCANS_WRITERS)} file.",
+            metavar="FOLDER|FILE.e57",
+            help="Write every placed scan with its new pose, at full resolution: into a folder, each in the "
+            "format it came in (E57 and PTX with the pose in the header, others with their points moved), or those of "
+            f"the largest group into one {alternatives(SCANS_WRITERS)} file.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -67,7 +67,7 @@ class SiteOutputs:
         typer.Option(
             "--placed-format",
             metavar="SUFFIX",
-            help=f"Write the scans of --placed as {alternatives(PLACED_SUFFIXES)} files, whatever they came as.",
+            help=f"Write the scans of --placed as {alternatives(PLACED_SUFFIXES)} files, whatever format they came in.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None
@@ -76,7 +76,7 @@ class SiteOutputs:
         typer.Option(
             "--redwood",
             metavar="FILE.log",
-            help="Write the poses of the largest group as a trajectory of Redwood's, as Open3D reads it.",
+            help="Write the poses of the largest group as a Redwood trajectory, which Open3D reads.",
             rich_help_panel=opt.OUTPUT,
         ),
     ] = None

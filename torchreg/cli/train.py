@@ -39,8 +39,8 @@ Pairs = Annotated[
     typer.Option(
         "--pairs",
         metavar="PATH",
-        help="Also the pairs of this list (JSON), or of the folder's pairs.json: under pairs, objects with name, "
-        "scene, source, target, T, voxel_m and overlap. May be given several times.",
+        help="Also train on the pairs of this list (JSON), or of pairs.json in this folder: under pairs, objects with "
+        "name, scene, source, target, T, voxel_m and overlap. May be given several times.",
         rich_help_panel=opt.INPUT,
     ),
 ]
@@ -49,8 +49,8 @@ HoldOut = Annotated[
     typer.Option(
         "--hold-out",
         metavar="SCENE,SCENE",
-        help="Scenes of the lists to judge by and not to train on; by default every third, in the order of their "
-        "names, the first among them.",
+        help="Scenes of the lists that are not trained on and judge the network; by default every third, in the order "
+        "of their names, beginning with the first.",
         rich_help_panel=opt.INPUT,
     ),
 ]
@@ -60,16 +60,19 @@ Places = Annotated[
         "--places",
         metavar="COUNT",
         min=0,
-        help="Simulated malls, roads and office buildings to train on, so many of each; two more of each are held out.",
+        help="How many simulated malls, roads and office buildings to train on, each; two more of each are held out.",
         rich_help_panel=opt.INPUT,
     ),
 ]
-Steps = Annotated[int, typer.Option("--steps", metavar="COUNT", min=1, help="Steps of training, a pair each.")]
+Steps = Annotated[int, typer.Option("--steps", metavar="COUNT", min=1, help="Steps of training, each on one pair.")]
 ViewPoints = Annotated[
-    int, typer.Option("--points", metavar="COUNT", min=20, help="Points of a part of a pair, about, of either scan.")
+    int, typer.Option("--points", metavar="COUNT", min=20, help="About how many points of each scan a step takes.")
 ]
 Every = Annotated[
-    int, typer.Option("--every", metavar="COUNT", min=1, help="Steps between two checkpoints and lines of the log.")
+    int,
+    typer.Option(
+        "--every", metavar="COUNT", min=1, help="Steps from one checkpoint, and one line of the log, to the next."
+    ),
 ]
 
 Show = Callable[[BatchProgress], None]
@@ -89,13 +92,14 @@ def train(
 ) -> None:
     """Train a network that maps points to features, and judge it on scenes that it never saw.
 
-    Views of the pairs (moved, cropped, thinned, noisy, in other light) are matched by contrast: of all points the true
-    partner should be the most similar. At last the mutual matches of all held-out pairs are judged, by the network's
-    features, alone and beside the default's, by FPFH, by the default's and by LEARNED: the share that is right within
-    two voxels, how many are, and the share of pairs with more than 5 % right (feature-match recall), by group. The log
-    has the first of these for one held-out pair of every group. Lengths are those of every pair's voxels.
+    Each step takes another view of a pair (moved, cropped, thinned, noisy, in other light) and asks of every point
+    which point of the other scan is its true partner. At the end the held-out pairs are matched by the network's
+    features, by these beside the default's, by FPFH, by the default's and by LEARNED. Tables say, by group, how many
+    matches are right within two voxels, which share of all that is (the inlier ratio), and in which share of the pairs
+    it is above 5 % (feature-match recall). The log has the inlier ratio of one held-out pair of every group. All
+    lengths follow from the voxels of a pair.
 
-    The defaults take about half an hour of one core. Exit code 0: trained and judged. 2: bad usage, or a file that
+    The defaults take about half an hour on one core. Exit code 0: trained and judged. 2: bad usage, or a file that
     cannot be read.
     """
     fits = out.is_dir() or (not out.exists() and out.absolute().parent.is_dir())

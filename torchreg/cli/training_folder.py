@@ -18,7 +18,7 @@ from typing import Any
 
 import torch
 
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.io.atomic import atomic_write, write_text
 from torchreg.learning.held_out import MatchQuality, by_group
 from torchreg.learning.network_training import NetworkTraining, saved_network
@@ -74,7 +74,9 @@ class TrainingFolder:
         unlike = sorted(name for name in self.run.keys() | run.keys() if self.run.get(name) != run.get(name))
         expected = ", ".join(f"{name} {self.run.get(name)}" for name in unlike)
         received = ", ".join(f"{name} {run.get(name)}" for name in unlike)
-        expect(not unlike, "--out", f"an empty folder, or one of a run with {expected}", f"{self.path} with {received}")
+        expect_in_words(
+            not unlike, "--out", f"an empty folder, or one of a run with {expected}", f"{self.path} with {received}"
+        )
         self.log = log
         return training
 

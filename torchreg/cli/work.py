@@ -30,7 +30,7 @@ class Work:
         EngineKind,
         typer.Option(
             "--engine",
-            help="What runs the work: processes of this machine (local), or the workers of Ray, here or on a cluster "
+            help="What does the work: processes of this machine (local), or workers of Ray, here or on a cluster "
             "(ray). The results are the same.",
             rich_help_panel=opt.RUN,
         ),
@@ -50,7 +50,7 @@ class Work:
             "--workers",
             metavar="COUNT",
             min=0,
-            help="Processes that work at once, 0 for this one alone; by default as many as there are cores.",
+            help="How many processes work at once; 0 starts none and works in this one; by default one per core.",
             rich_help_panel=opt.RUN,
         ),
     ] = None
@@ -58,9 +58,9 @@ class Work:
         Path | None,
         typer.Option(
             "--cache",
-            metavar="DIR",
-            help="Folder of described clouds, which several runs may share; by default described in the folder of "
-            "the results.",
+            metavar="FOLDER",
+            help="Folder for the descriptions of clouds, which several runs may share; by default the folder described "
+            "in that of the results.",
             rich_help_panel=opt.RUN,
         ),
     ] = None
@@ -70,8 +70,8 @@ class Work:
             "--max-bytes",
             metavar="BYTES",
             min=1,
-            help="Memory in bytes for the pairs that are registered together, over all workers; by default a quarter "
-            "of what is free.",
+            help="Memory, in bytes, for the pairs that all workers register together; by default a quarter of what is "
+            "free.",
             rich_help_panel=opt.RUN,
         ),
     ] = None

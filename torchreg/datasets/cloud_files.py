@@ -10,7 +10,7 @@ import torch
 from torch.utils.data import Dataset, get_worker_info
 
 from torchreg.arguments import checked, checked_record
-from torchreg.errors import expect, positive
+from torchreg.errors import expect, expect_in_words, positive
 from torchreg.io import read_cloud
 from torchreg.io.assemble import checked_dtype
 from torchreg.io.placement import Viewpoint, checked_viewpoint
@@ -70,7 +70,7 @@ class CloudReader:
         cloud = read_cloud(path, viewpoint=self.viewpoint, dtype=self.dtype)
         for name, wanted in (("colors", self.colors), ("normals", self.normals)):
             missing = wanted is True and getattr(cloud, name) is None
-            expect(not missing, str(path), f"a cloud with {name}, as {name}=True asks for", "one without")
+            expect_in_words(not missing, str(path), f"a cloud with {name}, as {name}=True asks for", "one without")
         cloud = replace(
             cloud,
             colors=None if self.colors is False else cloud.colors,

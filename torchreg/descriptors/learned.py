@@ -29,7 +29,7 @@ from torchreg.descriptors.color import color_values
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fuse import fuse, rooted
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
-from torchreg.errors import at_least, expect, one_of
+from torchreg.errors import at_least, expect_in_words, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.types import Clouds, Features, Neighborhoods
@@ -84,7 +84,7 @@ class LearnedColor(nn.Module):
 
         Gradients flow to the network, and to values and normals.
         """
-        expect(cloud.normals is not None, "cloud", "normals", "none")
+        expect_in_words(cloud.normals is not None, "cloud", "normals", "none")
         assert cloud.normals is not None
         reach = radius[:, None].to(near.sq_distance) if isinstance(radius, Tensor) else radius
         columns = [column.contiguous() for column in (*cloud.normals.unbind(dim=1), *values[:, 1:].unbind(dim=1))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.geometry.numerics.derivatives import transformed
 
 RIGID = 1e-4  # of R R^T - 1 and of the last row
@@ -33,7 +33,7 @@ def expect_rigid(T: Tensor, name: str, tolerance: float = RIGID) -> None:
     scaled = f"a scale of {sum(scales) / 3:.6g}, " if scales[0] - scales[2] <= tolerance * scales[0] else ""
     scaled = scaled if off > tolerance else ""
     words = f"{mirrored}{scaled}R R^T off by {off:.3g}, determinant {determinant:.6g}"
-    expect(False, name, expected, words)
+    expect_in_words(False, name, expected, words)
 
 
 def expect_all_rigid(T: Tensor, name: str, tolerance: float = RIGID) -> None:

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.io.placement import FARTHEST_COORDINATE, Scanner, choose_origin, place_scanner
 from torchreg.types import Clouds
 
@@ -120,7 +120,7 @@ def assemble(raw: RawCloud, viewpoint: str | NDArray[Any] | None, dtype: torch.d
         ValueError: not one finite point, coordinates that no survey has.
     """
     finite = np.isfinite(raw.points).all(axis=1)  # (N,)
-    expect(bool(finite.any()), raw.name, "at least one finite point", f"none among {len(finite)}")
+    expect_in_words(bool(finite.any()), raw.name, "at least one finite point", f"none among {len(finite):,}")
     points = raw.points[finite]
     largest = float(np.abs(points).max())
     if largest > FARTHEST_COORDINATE:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 
 _DIGITS = 8  # of the random number in the name of a temporary file
 _REMAINS = re.compile(rf"\..+\.[0-9a-f]{{{_DIGITS}}}\.tmp", re.DOTALL)
@@ -40,7 +40,7 @@ def atomic_write(
     target = Path(os.path.realpath(path)) if through_link else Path(path).absolute()
     expect(target.parent.is_dir(), "path", "a file in a folder that exists", os.fspath(path))
     replaced = target.is_symlink() and not through_link  # a link to a folder is no folder
-    expect(replaced or not target.is_dir(), "path", "a file", f"the folder {os.fspath(path)}")
+    expect_in_words(replaced or not target.is_dir(), "path", "a file", f"the folder {os.fspath(path)}")
     part = target.with_name(f".{target.name}.{secrets.token_hex(_DIGITS // 2)}.tmp")
     opened = part.open("xb")  # which follows no link, and takes no file that is there
     try:

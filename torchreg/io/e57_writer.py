@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.geometry.se3 import quaternion_wxyz, rigid
 from torchreg.io.fields import PointFields
 from torchreg.io.foreign import package
@@ -97,7 +97,7 @@ def _write(file: BinaryIO, scans: Iterable[_ScanNode]) -> None:
             for scan in scans:
                 _write_scan(pye57.libe57, made, scan)
                 count += 1
-        expect(count > 0, "scans", "at least one scan", "none")
+        expect_in_words(count > 0, "scans", "at least one scan", "none")
         with path.open("rb") as content:
             shutil.copyfileobj(content, file, 1 << 20)
 

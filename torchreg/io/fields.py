@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchreg.arguments import checked_record
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_in_words, expect_shape
 
 _TOPS = (1.0, 255.0, 65535.0)
 """The largest numbers of the usual scales of intensity, which begin at 0."""
@@ -38,7 +38,7 @@ class PointFields:
         if self.scan is not None:
             expect(self.scan.ndim == 1 and self.scan.dtype.is_signed, "scan", "(P,) int64", self.scan)
             legal = len(self.scan) == 0 or (int(self.scan.min()) >= 0 and int(self.scan.max()) <= 65535)
-            expect(legal, "scan", "numbers from 0 to 65535", f"{self.scan.tolist()[:5]}")
+            expect_in_words(legal, "scan", "numbers from 0 to 65535", f"{self.scan.tolist()[:5]}")
 
     def checked(self, count: int) -> PointFields:
         """Return these fields if they belong to ``count`` points, else raise ``ValueError``."""

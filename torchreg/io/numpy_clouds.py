@@ -9,7 +9,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from torchreg.entry import entry
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.io.assemble import RawCloud, assemble, checked_dtype, scale_colors
 from torchreg.io.placement import Viewpoint, checked_viewpoint
 from torchreg.types import Clouds
@@ -75,7 +75,7 @@ def to_numpy(cloud: Clouds) -> NumpyCloud:
         >>> to_numpy(Clouds(torch.rand(5, 3))).points.shape
         (5, 3)
     """
-    expect(len(cloud) == 1, "cloud", "a batch of one (cloud[b] picks one)", f"{len(cloud)} clouds")
+    expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud[b] picks one)", f"{len(cloud)} clouds")
     local = cloud.detach().cpu()
     more = (None if values is None else values.numpy() for values in (local.colors, local.normals))
     return NumpyCloud((local.points.double() + local.origin).numpy(), *more)
@@ -97,11 +97,11 @@ def cloud_of_arrays(
         if values is not None:
             expect(values.ndim == 2 and values.shape == (len(points), 3), name, f"{key} (N, 3)", values.shape)
             expect(values.dtype.kind in "iuf", name, f"{key} that are real numbers", values.dtype)
-    expect(len(points) > 0, name, "at least one point", "none")
+    expect_in_words(len(points) > 0, name, "at least one point", "none")
     bad = int((~np.isfinite(points).all(axis=1)).sum())
-    expect(bad == 0, name, "finite points", f"{bad} of {len(points)} with NaN or infinity")
+    expect_in_words(bad == 0, name, "finite points", f"{bad} of {len(points)} with NaN or infinity")
     usable = colors is None or scale_colors(colors).values is not None
-    expect(usable, name, "colors from 0 to 1, or of 8 or 16 bits", "others")
+    expect_in_words(usable, name, "colors from 0 to 1, or of 8 or 16 bits", "other numbers")
     raw = RawCloud(
         name=name,
         format=kind,

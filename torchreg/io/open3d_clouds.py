@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchreg.entry import entry
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.io.numpy_clouds import cloud_of_arrays, to_numpy
 from torchreg.io.placement import Viewpoint
 from torchreg.open3d_loader import load_open3d
@@ -79,5 +79,5 @@ def _arrays(pcd: Any) -> tuple[_Array, _Array | None, _Array | None]:  # noqa: A
     expect(hasattr(pcd, "point"), "pcd", "an Open3D point cloud", pcd)
     keys = ("positions", "colors", "normals")
     arrays = {key: pcd.point[key].cpu().numpy() for key in keys if key in pcd.point}
-    expect("positions" in arrays, "pcd", "at least one point", "none")
+    expect_in_words("positions" in arrays, "pcd", "at least one point", "none")
     return arrays["positions"], arrays.get("colors"), arrays.get("normals")

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import lzf
 import numpy as np
 
 from torchreg.io.assemble import RawCloud
@@ -27,6 +26,7 @@ from torchreg.io.columns import (
     surplus,
     take,
 )
+from torchreg.io.foreign import package
 from torchreg.io.header_lines import header_lines
 from torchreg.io.placement import Scanner, scanner_of_file
 from torchreg.io.viewpoint_line import scanner_of_line
@@ -157,6 +157,7 @@ def _read_compressed(path: Path, columns: Sequence[Column], rows: int, offset: i
     differ in type it finds no points. Arguments and result are those of ``read_binary``; ``CloudFileError`` for sizes
     that disagree with the header or the file, and for bytes that are no LZF.
     """
+    lzf = package(path, "lzf", "python-neo-lzf")
     with path.open("rb") as file:
         file.seek(offset)
         body = file.read()

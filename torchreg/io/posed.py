@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.entry import entry
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.geometry.se3 import compose, inverse, rigid, transform
 from torchreg.io.fields import PointFields
 from torchreg.io.transform_text import checked_rigid
@@ -56,7 +56,7 @@ def posed_scan(
     Raises:
         ValueError: a batch of several clouds, a matrix that is not rigid, fields of another number of points.
     """
-    expect(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
+    expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
     wide = cloud.detach().to(device="cpu", dtype=torch.float64)
     to_world = torch.from_numpy(checked_rigid(T_world_file, "T_world_file"))
     own = _own_frame(wide) if pose is None else torch.from_numpy(checked_rigid(pose, "pose"))

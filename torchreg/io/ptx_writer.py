@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.io.posed import PosedScan
 from torchreg.io.written import color_levels, expect_finite
 
@@ -26,7 +26,7 @@ def write_ptx_scans(file: BinaryIO, scans: Iterable[PosedScan]) -> None:
     for scan in scans:
         _write_scan(file, scan)
         count += 1
-    expect(count > 0, "scans", "at least one scan", "none")
+    expect_in_words(count > 0, "scans", "at least one scan", "none")
 
 
 def _write_scan(file: BinaryIO, scan: PosedScan) -> None:

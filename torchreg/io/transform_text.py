@@ -98,6 +98,6 @@ def _from_json(text: str, path: str | os.PathLike[str]) -> Any:  # noqa: ANN401
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
         refuse(path, "valid JSON", str(error) or type(error).__name__)
-    require(_KEY in content, path, f"the key {_KEY!r}", excerpt(", ".join(content) or "none"))
+    require(_KEY in content, path, f"the key {_KEY!r}", excerpt(", ".join(content)) if content else "no key")
     require(content.get("success", True) is True, path, "a registration that succeeded", "one that failed")
     return content[_KEY]

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.io.placement import FAR_COORDINATE
 from torchreg.types import Clouds
 
@@ -50,4 +50,4 @@ def normals_of(cloud: Clouds) -> NDArray[Any] | None:
 
 def expect_finite(points: NDArray[Any], kind: str) -> None:
     """Raise ``ValueError`` for points that a format cannot hold."""
-    expect(bool(np.isfinite(points).all()), "cloud", f"finite points, as {kind} holds them", "NaN or infinity")
+    expect_in_words(bool(np.isfinite(points).all()), "cloud", f"finite points, as {kind} holds them", "NaN or infinity")

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from torchreg.augment.streams import derived_seed, generator_of
 from torchreg.entry import entry
-from torchreg.errors import at_least, expect, positive
+from torchreg.errors import at_least, expect, expect_in_words, positive
 from torchreg.learning.correspondence_losses import info_nce
 from torchreg.learning.posed_pairs import DescribedSide, PairView, PosedPair, random_view
 from torchreg.nn.point_network import PointNetwork
@@ -163,7 +163,7 @@ class NetworkTraining:
             unlike = {key for key in mine.keys() | theirs.keys() if mine.get(key) != theirs.get(key)}
             expected = ", ".join(f"{key} {mine.get(key)}" for key in sorted(unlike))
             received = ", ".join(f"{key} {theirs.get(key)}" for key in sorted(unlike))
-            expect(not unlike, "state", f"that of a run with {expected}", received)
+            expect_in_words(not unlike, "state", f"that of a run with {expected}", received)
         self.network.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.done = int(state["done"])

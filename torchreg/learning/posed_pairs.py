@@ -14,7 +14,7 @@ from torch import Tensor
 from torchreg.augment import AugmentPair, Compose, Illumination, Jitter, RandomMotion, RandomThin
 from torchreg.augment.augmentation import uniform
 from torchreg.augment.streams import derived_seed, generator_of
-from torchreg.errors import expect, positive
+from torchreg.errors import expect_in_words, positive
 from torchreg.geometry.se3 import apply
 from torchreg.neighborhoods import nearest, neighbors
 from torchreg.nn.point_network import MAX_NEIGHBORS, NORMAL_NEIGHBORS, NORMAL_SUPPORT, SUPPORT
@@ -46,7 +46,7 @@ class PosedPair:
 
     def __post_init__(self) -> None:
         positive(self.voxel, "voxel")
-        expect(self.pair.has_truth, "pair", "a known motion", f"{self.pair.name} without")
+        expect_in_words(self.pair.has_truth, "pair", "a known motion", f"{self.pair.name} without")
 
     def thinned(self) -> PosedPair:
         """The same pair with no more points than views need: averaged over 0.6 voxels."""

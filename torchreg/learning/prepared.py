@@ -10,7 +10,7 @@ from torch import Tensor
 from torchreg.arguments import checked_record
 from torchreg.descriptors.fpfh import fpfh
 from torchreg.entry import entry
-from torchreg.errors import at_least, expect, positive
+from torchreg.errors import at_least, expect, expect_in_words, positive
 from torchreg.neighborhoods import nearest, neighbors
 from torchreg.preprocess import estimate_normals, voxel_downsample
 from torchreg.types import Clouds, Features, Neighborhoods
@@ -70,7 +70,7 @@ def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
         ValueError: more than one cloud, no colors, or a voxel size not above 0.
     """
     expect(len(cloud) == 1, "cloud", "one cloud", len(cloud))
-    expect(cloud.colors is not None, "cloud", "colors", "none")
+    expect_in_words(cloud.colors is not None, "cloud", "colors", "none")
     positive(voxel, "voxel")
     thinned = voxel_downsample(cloud, voxel)
     near = _support(thinned, voxel)

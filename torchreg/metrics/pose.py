@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.entry import entry
-from torchreg.errors import expect, expect_shape, positive
+from torchreg.errors import expect, expect_in_words, expect_shape, positive
 from torchreg.geometry.se3 import apply_rotation
 from torchreg.types import Clouds
 
@@ -45,7 +45,7 @@ def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErro
         >>> pose_errors(cloud, torch.eye(4), torch.eye(4))
         PoseErrors(rre_degrees=0.0, rte_meters=0.0, rmse_meters=0.0)
     """
-    expect(len(source) == 1, "source", "a batch of one (cloud.select(b) picks one)", f"{len(source)} clouds")
+    expect_in_words(len(source) == 1, "source", "a batch of one (cloud.select(b) picks one)", f"{len(source)} clouds")
     expect_shape(T_true, "T_true", (4, 4))
     expect_shape(T_estimated, "T_estimated", (4, 4))
     points = source.points.detach().cpu().to(torch.float64) + source.origin.cpu()

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu
 
-from torchreg.errors import at_least, expect
+from torchreg.errors import at_least, expect, expect_in_words
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.neighborhoods import neighbors
 from torchreg.nn.cues import PAIR_CUES, POINT_CUES, pair_cues, point_cues
@@ -101,7 +101,7 @@ class PointNetwork(nn.Module):
         """
         near = _default_support(cloud) if near is None else near
         expect(len(near) == len(cloud.points), "near", f"neighborhoods of {len(cloud.points)} points", len(near))
-        expect(near.radius is not None, "near", "neighborhoods whose radius is known", "radius None")
+        expect_in_words(near.radius is not None, "near", "neighborhoods whose radius is known", "radius None")
         assert near.radius is not None
         if cloud.normals is None:
             cloud = estimate_normals(cloud, near.restrict(near.radius * NORMAL_SUPPORT, NORMAL_NEIGHBORS))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.entry import entry
-from torchreg.errors import expect, expect_shape, one_of
+from torchreg.errors import expect_in_words, expect_shape, one_of
 from torchreg.io.result_json import plain_data
 from torchreg.metrics import PoseErrors, pose_errors
 from torchreg.reference import open3d
@@ -145,7 +145,7 @@ def compare(
         True
     """
     for name, cloud in (("source", source), ("target", target)):
-        expect(len(cloud) == 1, name, "one cloud", f"{len(cloud)} clouds")
+        expect_in_words(len(cloud) == 1, name, "one cloud", f"{len(cloud)} clouds")
     one_of(features, "features", FEATURES)
     if truth is not None:
         expect_shape(truth, "truth", (4, 4))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.fpfh import fpfh
-from torchreg.errors import expect
+from torchreg.errors import expect_in_words
 from torchreg.reference import stages
 from torchreg.reference.ties import ROUNDING, Tie, find_ties
 from torchreg.types import Clouds, Neighborhoods
@@ -75,7 +75,7 @@ def descriptor_differences(
         ValueError: several clouds, or no normals.
         ImportError: Open3D is not there.
     """
-    expect(len(cloud) == 1, "cloud", "a batch of one", f"{len(cloud)} clouds")
+    expect_in_words(len(cloud) == 1, "cloud", "a batch of one", f"{len(cloud)} clouds")
     narrow = cloud.to("cpu", torch.float32)
     by_open3d = _by_open3d(cloud, radius, max_neighbors)
     same = cloud.points.dtype == torch.float32

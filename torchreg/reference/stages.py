@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.errors import at_least, expect, positive
+from torchreg.errors import at_least, expect_in_words, positive
 from torchreg.metrics.fit import relative_transform
 from torchreg.open3d_loader import load_open3d
 from torchreg.reference.legacy import hybrid, point_cloud, rows, wide
@@ -100,7 +100,7 @@ def neighborhoods(cloud: Clouds, radius: float, max_neighbors: int) -> Neighborh
     Returns:
         Neighborhoods of a batch of one, float64 on the CPU.
     """
-    expect(len(cloud) == 1, "cloud", "a batch of one", f"{len(cloud)} clouds")
+    expect_in_words(len(cloud) == 1, "cloud", "a batch of one", f"{len(cloud)} clouds")
     count = len(cloud.points)
     index = np.arange(count)[:, None].repeat(max_neighbors, axis=1)
     valid = np.zeros((count, max_neighbors), dtype=bool)

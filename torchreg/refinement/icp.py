@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchreg.entry import entry
-from torchreg.errors import expect, expect_device, expect_floating
+from torchreg.errors import expect, expect_device, expect_floating, expect_in_words
 from torchreg.geometry.numerics.threads import shared_out, undisturbed
 from torchreg.geometry.rigid_check import expect_all_rigid
 from torchreg.geometry.se3 import apply_rotation
@@ -104,7 +104,7 @@ def refine_pairs(
     for kind in dict.fromkeys(option.kind for option in options):
         for side, name in KINDS[kind].needs:
             values = getattr(source if side == "source" else target, name)
-            expect(values is not None, side, f"{name}, which kind={kind!r} needs", "none")
+            expect_in_words(values is not None, side, f"{name}, which kind={kind!r} needs", "none")
     source, target, T = source.detach(), target.detach(), T_target_source.detach()
     state = State.start(T, _defects(source, target, pairing, T, options))
     refined = T.clone()

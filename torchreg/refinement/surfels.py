@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_in_words, expect_shape
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.morton import occupied_cells
 from torchreg.geometry.numerics.chunks import row_chunks
@@ -54,7 +54,7 @@ class Surfels:
     spacing: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        expect(self.cloud.normals is not None, "cloud", "normals", "none")
+        expect_in_words(self.cloud.normals is not None, "cloud", "normals", "none")
         expect_shape(self.variance, "variance", (len(self.cloud.points),), self.cloud.points.dtype)
         expect(len(self.spacing) == len(self.cloud), "spacing", f"one per cloud ({len(self.cloud)})", self.spacing)
 

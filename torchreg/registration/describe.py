@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.entry import entry
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_in_words, expect_shape
 from torchreg.geometry.numerics.partition import partition
 from torchreg.geometry.numerics.threads import undisturbed
 from torchreg.keypoints.keypoints import KeypointRows, Keypoints, marked
@@ -316,7 +316,12 @@ def _checked(features: Features, cloud: Clouds, record: Descriptor) -> Features:
     expect(features.values.dtype == cloud.points.dtype, name, f"values in {cloud.points.dtype}", features.values)
     size = largest_entries(features.values)
     broken = ~torch.isfinite(size) | (~features.valid & (size != 0))
-    expect(not bool(broken.any()), name, "finite rows, zero where not valid", f"{int(broken.sum())} others")
+    expect_in_words(
+        not bool(broken.any()),
+        name,
+        "rows of finite numbers, zero where they are not valid",
+        f"{int(broken.sum())} other rows",
+    )
     return features
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import Descriptor
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_in_words, expect_shape
 from torchreg.keypoints.keypoints import Keypoints, KeypointSupport
 from torchreg.refinement.surfels import Surfels
 from torchreg.registration.inspect import CloudFacts
@@ -195,5 +195,5 @@ def _concatenated(parts: Sequence[Tensor | None]) -> Tensor | None:
 def _packed(parts: Sequence[Surfels | None]) -> Surfels | None:
     """The surfels of all parts, which have the same descriptions; ``None`` where they have none."""
     there = [part for part in parts if part is not None]
-    expect(len(there) in (0, len(parts)), "parts", "surfels in all of them or in none", f"in {len(there)}")
+    expect_in_words(len(there) in (0, len(parts)), "parts", "surfels in all of them or in none", f"in {len(there)}")
     return Surfels.pack(there) if there else None

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchreg.descriptors.descriptor import largest_entries
-from torchreg.errors import expect, expect_device, expect_floating, expect_shape
+from torchreg.errors import expect, expect_device, expect_floating, expect_in_words, expect_shape
 from torchreg.registration.rivals import NearMatches
 from torchreg.types import Clouds, Correspondences, Features
 from torchreg.types.packing import spans
@@ -152,7 +152,12 @@ def _keypoints(given: KeypointFeatures, clouds: Clouds, name: str, of: str) -> T
     if not legal:
         expect(False, f"{name}.rows", f"rows 0 to {points - 1} of {of}", [int(row) for row in rows.aminmax()])
     distinct = len(rows.unique())
-    expect(distinct == len(rows), f"{name}.rows", "every row at most once", f"{distinct} different of {len(rows)}")
+    expect_in_words(
+        distinct == len(rows),
+        f"{name}.rows",
+        "every row at most once",
+        f"{len(rows)} rows, {distinct} of them different",
+    )
     return rows
 
 
@@ -165,7 +170,9 @@ def _finite_rows(values: Tensor, name: str, valid: Tensor | None = None) -> Tens
     broken = ~torch.isfinite(largest_entries(wide))
     if valid is not None:
         broken &= valid
-    expect(not bool(broken.any()), name, "finite numbers", f"{int(broken.sum())} of {len(wide)} rows that are not")
+    expect_in_words(
+        not bool(broken.any()), name, "finite numbers", f"NaN or infinity in {int(broken.sum())} of {len(wide)} rows"
+    )
     return wide
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.errors import at_least, expect
+from torchreg.errors import at_least, expect, expect_in_words
 from torchreg.report.canvas import annotate, below_figure, blank_figure
 from torchreg.report.scene import Scene, box, padded, scene_of, thin, union
 from torchreg.report.text import share
@@ -85,8 +85,10 @@ def correspondence_figure(
     expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
     for name, clouds, matched in (("source", source, result.source), ("target", target, result.target)):
         expected = f"the {len(result)} clouds that were registered"
-        expect(len(clouds) == len(result), name, expected, f"{len(clouds)} clouds")
-        expect(bool((clouds.origin.cpu() == matched.origin.cpu()).all()), name, expected, "clouds of other origins")
+        expect_in_words(len(clouds) == len(result), name, expected, f"{len(clouds)} clouds")
+        expect_in_words(
+            bool((clouds.origin.cpu() == matched.origin.cpu()).all()), name, expected, "clouds of other origins"
+        )
     scene = scene_of(source.select(pair), target.select(pair), at_least(max_points, "max_points", 1))
     ends = match_ends(result, pair)
     T = likeliest_pose(result, pair)

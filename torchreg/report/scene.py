@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect_in_words, expect_shape
 from torchreg.geometry.up import Up, up_of, upright_frame
 from torchreg.metrics.fit import relative_transform
 from torchreg.types import Clouds
@@ -76,7 +76,7 @@ def scene_of(source: Clouds, target: Clouds, count: int) -> Scene:
         ValueError: a batch of several clouds.
     """
     for name, cloud in (("source", source), ("target", target)):
-        expect(len(cloud) == 1, name, "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
+        expect_in_words(len(cloud) == 1, name, "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
     points, colors = [], []
     for cloud in (source, target):
         all_points = cloud.points.detach().cpu().double().numpy()

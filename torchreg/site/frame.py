@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, positive
+from torchreg.errors import expect, expect_in_words, positive
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.se3 import apply, apply_rotation, compose, inverse
 from torchreg.site.control import (
@@ -63,7 +63,9 @@ class SiteFrame:
         positive(self.pose_meters, "pose_meters")
         positive(self.pose_degrees, "pose_degrees")
         one = not self.control or (self.fix is None and not self.poses)
-        expect(one, "control", "no control points beside fixed scans or known poses", f"{len(self.control)} points")
+        expect_in_words(
+            one, "control", "no control points beside fixed scans or known poses", f"{len(self.control)} points"
+        )
 
 
 class Framed(NamedTuple):
@@ -91,7 +93,7 @@ def known_poses(frame: SiteFrame, scans: Sequence[Clouds]) -> list[KnownPose]:
     poses: dict[int, Tensor] = {}
     for scan, T in frame.poses:
         expect(0 <= scan < len(scans), "poses", f"scans from 0 to {len(scans) - 1}", scan)
-        expect(scan not in poses, "poses", "one pose of a scan", f"two of scan {scan}")
+        expect_in_words(scan not in poses, "poses", "one pose of a scan", f"two of scan {scan}")
         poses[scan] = T
     sigmas = dict.fromkeys(poses, (frame.pose_meters, torch.pi / 180 * frame.pose_degrees))
     if frame.fix is not None:

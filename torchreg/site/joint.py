@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, positive
+from torchreg.errors import expect, expect_in_words, positive
 from torchreg.geometry.numerics.threads import shared_out
 from torchreg.geometry.se3 import compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of, rotation_vector
@@ -91,7 +91,9 @@ def refine_together(
     expect(len(links) == len(placement.used), "links", f"those of the placement ({len(placement.used)})", len(links))
     positive(reach, "reach")
     known = list(known)
-    expect(bool(known) or not bool(placement.in_world.any()), "known", "the known poses of the placement", "none")
+    expect_in_words(
+        bool(known) or not bool(placement.in_world.any()), "known", "the known poses of the placement", "none"
+    )
     with torch_on_one_thread():
         site = _Site(placement, links, known, ScanSurfels(surfels), reach, report)
         held_back: set[int] = set()

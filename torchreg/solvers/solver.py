@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchreg.arguments import checked_record
-from torchreg.errors import at_least, expect, one_of, positive
+from torchreg.errors import at_least, expect, expect_in_words, one_of, positive
 from torchreg.solvers.points import MatchedPoints
 from torchreg.solvers.scoring import QUALITIES, correspondence_vectors, proposal_dtype, propose_counts
 from torchreg.types import Failure
@@ -173,5 +173,5 @@ class Solver:
             hypotheses = solver.propose(pair)
             expect(isinstance(hypotheses, Hypotheses), name, "Hypotheses", hypotheses)
             finite = all(bool(torch.isfinite(part).all()) for part in hypotheses.best(hypotheses.stored))
-            expect(finite, name, "finite rotations and translations", "others")
+            expect_in_words(finite, name, "finite rotations and translations", "NaN or infinity")
             yield hypotheses

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from torchreg.errors import describe, expect, expect_shape
+from torchreg.errors import describe, expect, expect_in_words, expect_shape
 from torchreg.types.packing import offsets_of, spans
 
 Change = Callable[[Tensor, bool], Tensor]
@@ -238,7 +238,7 @@ def _are_there(values: Sequence[Any], name: str, batches: Sequence[Any]) -> bool
     have = sum(value is not None for value in values)
     others = len(values) - have
     expected = f"{name} for all {len(values)} {batches[0].noun} or for none"
-    expect(have == 0 or others == 0, name, expected, f"{have} with and {others} without")
+    expect_in_words(have == 0 or others == 0, name, expected, f"{have} with and {others} without")
     return have > 0
 
 

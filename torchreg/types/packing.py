@@ -8,7 +8,7 @@ from itertools import accumulate, pairwise
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_in_words, expect_shape
 
 
 def checked_offsets(offsets: Tensor, rows: int, name: str = "offsets") -> Tensor:
@@ -49,7 +49,9 @@ def spans(offsets: Tensor, rows: int | None = None) -> list[tuple[int, int]]:
     Where a graph is captured no value is read: it holds for one item of all ``rows``.
     """
     if rows is not None and torch.compiler.is_compiling():
-        expect(offsets.shape[0] == 2, "offsets", "one cloud, where a graph is captured", f"{offsets.shape[0] - 1}")
+        expect_in_words(
+            offsets.shape[0] == 2, "offsets", "one cloud, where a graph is captured", f"{offsets.shape[0] - 1}"
+        )
         return [(0, rows)]
     listed: list[int] = offsets.tolist()
     return list(pairwise(listed))

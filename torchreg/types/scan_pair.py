@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchreg.arguments import checked_record
 from torchreg.entry import entry
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect, expect_in_words, expect_shape
 from torchreg.types.clouds import Clouds
 from torchreg.types.collation import collated_by
 from torchreg.types.held import Held, Listed, PerItem, held
@@ -44,7 +44,7 @@ class ScanPair(Record):
 
     def __post_init__(self) -> None:
         for name, cloud in (("source", self.source), ("target", self.target)):
-            expect(len(cloud) == 1, name, "one cloud", f"{len(cloud)} clouds")
+            expect_in_words(len(cloud) == 1, name, "one cloud", f"{len(cloud)} clouds")
         _check_matrices(self.T_target_source, self.information)
 
     @property
@@ -87,7 +87,7 @@ class ScanPairBatch(PackedBatch):
     def __post_init__(self) -> None:
         pairs = len(self.names)
         for name, clouds in (("source", self.source), ("target", self.target)):
-            expect(len(clouds) == pairs, name, f"{pairs} clouds, one for every name", f"{len(clouds)}")
+            expect_in_words(len(clouds) == pairs, name, f"{pairs} clouds, one for every name", f"{len(clouds)}")
         _check_matrices(self.T_target_source, self.information, pairs)
 
     def __len__(self) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import expect_in_words, expect_shape
 from torchreg.types.clouds import Clouds
 from torchreg.types.held import Held, PerItem, held
 from torchreg.types.record import Record
@@ -39,10 +39,12 @@ class SimulatedSite(Record):
     def __post_init__(self) -> None:
         count = len(self.scans)
         for i, scan in enumerate(self.scans):
-            expect(len(scan) == 1, f"scans[{i}]", "one cloud", f"{len(scan)} clouds")
+            expect_in_words(len(scan) == 1, f"scans[{i}]", "one cloud", f"{len(scan)} clouds")
         expect_shape(self.T_world_scan, "T_world_scan", (count, 4, 4), dtype=torch.float64)
         expect_shape(self.floor, "floor", (count,), dtype=torch.int64)
-        expect(len(self.stations) == count, "stations", f"{count} names, one for every scan", f"{len(self.stations)}")
+        expect_in_words(
+            len(self.stations) == count, "stations", f"{count} names, one for every scan", f"{len(self.stations)}"
+        )
 
     def _facts(self) -> Sequence[str]:
         points = counted([len(scan.points) for scan in self.scans])

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from torchreg.errors import CloudFileError, expect
+from torchreg.errors import CloudFileError, expect_in_words
 
 Row = dict[str, Any]
 """One measurement: plain JSON."""
@@ -41,7 +41,9 @@ class Rows:
         before = kept[0]
         for name in sorted(before.keys() | manifest.keys()):
             old, new = before.get(name), manifest.get(name)
-            expect(old == new, "--out", f"a folder without measurements, or with {name} {new!r}", f"one with {old!r}")
+            expect_in_words(
+                old == new, "--out", f"a folder without measurements, or with {name} {new!r}", f"one with {old!r}"
+            )
         self._rows = {row["key"]: row for row in kept[1:]}
 
     def __contains__(self, key: str) -> bool:

@@ -23,7 +23,7 @@ from torch import Tensor
 
 import torchreg as tr
 from torchreg.benchmark.peers.method import Answer, Method, PeerMatches, Task
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.registration.outside import GivenFeatures, GivenMatches, both_sides, checked_matches
 from torchreg.types import Clouds, Correspondences
 
@@ -72,7 +72,7 @@ def loaded(name: str) -> Adapter:
     except (ImportError, AttributeError) as problem:
         raise ValueError(f"adapter: expected a callable that can be imported, got {name!r} ({problem})") from None
     adapter: Adapter = found() if isinstance(found, type) else found
-    expect(callable(adapter), "adapter", "a callable", f"{name} of type {type(adapter).__name__}")
+    expect_in_words(callable(adapter), "adapter", "a callable", f"{name} of type {type(adapter).__name__}")
     return adapter
 
 
@@ -164,5 +164,7 @@ def _clouds_of(adapter: Adapter, name: str) -> int:
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     parameters = [each for each in inspect.signature(forward).parameters.values() if each.kind in kinds]
     needed = sum(each.default is inspect.Parameter.empty for each in parameters)
-    expect(needed in (1, 2), "adapter", "a callable of one cloud, or of source and target", f"{name} of {needed}")
+    expect_in_words(
+        needed in (1, 2), "adapter", "a callable of one cloud, or of source and target", f"{name} of {needed}"
+    )
     return needed

@@ -15,7 +15,7 @@ from torchreg.benchmark.site.method import SiteMethod, SiteTask
 from torchreg.benchmark.site.registry import chosen_site_methods
 from torchreg.benchmark.site.sources import read_sites, simulated_sites
 from torchreg.benchmark.site.true_site import Readings, TrueSite
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 
 _QUICK_SCANS, _QUICK_FLOORS, _QUICK_STEP = 5, 1, 2.0  # the step is degrees between rays
 
@@ -68,7 +68,7 @@ def _sites(options: SiteBenchOptions) -> list[TrueSite]:
         made = simulated_sites(range(options.seeds), options.scans)
     names = [site.name for site in (*made, *real)]
     twice = next((name for name in names if names.count(name) > 1), None)
-    expect(twice is None, "data", "sites of different names", f"{twice} twice")
+    expect_in_words(twice is None, "data", "sites of different names", f"{twice} twice")
     wanted = names if options.sites is None else options.sites
     expect(len(wanted) > 0, "sites", "at least one", wanted)
     for name in wanted:

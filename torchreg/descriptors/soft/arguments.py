@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape, fraction, one_of
+from torchreg.errors import expect, expect_in_words, expect_shape, fraction, one_of
 from torchreg.geometry.numerics.derivatives import transformed
 from torchreg.types import Neighborhoods
 
@@ -31,7 +31,7 @@ def expect_finite(value: Tensor, name: str, *, unit: bool = False) -> None:
         return
     known = value.detach()
     fits = (known >= 0) & (known <= 1) if unit else torch.isfinite(known)
-    expect(bool(fits.all()), name, "numbers in [0, 1]" if unit else "finite numbers", "some that are not")
+    expect_in_words(bool(fits.all()), name, "numbers in [0, 1]" if unit else "finite numbers", "others too")
 
 
 def bin_edges(edges: Tensor | None, rows: int, bins: int, like: Tensor) -> Tensor | None:

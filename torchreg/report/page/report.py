@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from torchreg.errors import at_least, expect
+from torchreg.errors import at_least, expect, expect_in_words
 from torchreg.io.atomic import write_text
 from torchreg.metrics import PoseErrors
 from torchreg.report.page.markup import escaped
@@ -114,7 +114,7 @@ def report_html(
     at_least(max_points, "max_points", 1)
     for name, clouds in (("source", source), ("target", target)):
         expected = f"the {len(result)} clouds that were registered"
-        expect(len(clouds) == len(result), name, expected, f"{len(clouds)} clouds")
+        expect_in_words(len(clouds) == len(result), name, expected, f"{len(clouds)} clouds")
     reported = reported_pair(
         *(result, source, target, pair),
         names=names,

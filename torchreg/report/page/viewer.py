@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_in_words
 from torchreg.report.page.markup import escaped
 from torchreg.report.page.packed import packed_bytes, packed_places, packing_order
 from torchreg.report.scene import Box, box, padded, union
@@ -141,7 +141,7 @@ def _file(name: str) -> str:
 def _check(cloud: ViewedCloud, states: int, scale: ScalarScale | None) -> None:
     count, name = len(cloud.points), f"cloud {cloud.name!r}"
     expect(cloud.points.shape == (count, 3), f"{name}, points", "(N, 3)", cloud.points.shape)
-    expect(bool(np.isfinite(cloud.points).all()), f"{name}, points", "finite numbers", "NaN or infinity")
+    expect_in_words(bool(np.isfinite(cloud.points).all()), f"{name}, points", "finite numbers", "NaN or infinity")
     shapes = [np.shape(pose) for pose in cloud.poses]
     expect(shapes == [(4, 4)] * states, f"{name}, poses", f"(4, 4) for each of {states} states", shapes)
     if cloud.colors is not None:
