@@ -64,7 +64,7 @@ def setup(app: Sphinx) -> None:
 def _links_out_of_the_folder(app: Sphinx, page: str, source: list[str]) -> None:
     """Files beside ``docs/`` that pages link to have a page here that includes them."""
     up = "../" * page.count("/")
-    source[0] = re.sub(r"\]\((?:\.\./)+CONTRIBUTING\.md", f"]({up}contributing.md", source[0])
+    source[0] = re.sub(r"\]\((?:\.\./)+CONTRIBUTING\.md", f"]({up}project/contributing.md", source[0])
 
 
 def _public_name(
