@@ -18,7 +18,9 @@ def test_a_tutorial_runs(page, monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     command = tmp_path / "bin" / "torchreg"  # that of this checkout
     command.parent.mkdir()
-    command.write_text(f"#!{sys.executable}\nfrom torchreg_command import main\n\nmain()\n")
+    command.write_text(
+        f"#!{sys.executable}\nfrom torchreg_command import main\n\nif __name__ == '__main__':\n    main()\n"
+    )
     command.chmod(0o755)
     environment = {**os.environ, "PATH": f"{command.parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     names: dict[str, object] = {"__name__": "__main__"}

@@ -38,9 +38,11 @@ def shown_parts(markdown: str) -> list[Table | str]:
             parts.append(block)
             continue
         head, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines()]
+        before = parts[-1] if parts else None
         heading = ""
-        if parts and isinstance(parts[-1], str) and parts[-1].endswith(":"):
-            heading = parts.pop().removesuffix(":")
+        if isinstance(before, str) and before.endswith(":"):
+            heading = before.removesuffix(":")
+            parts.pop()
         parts.append(Table(heading, head, rows))
     return parts
 
