@@ -309,7 +309,13 @@ class Settings(StageSettings):
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class PairSettings(Settings):
-    """The settings of ``torchreg batch`` for its pairs. A column of the pairs file changes a setting for its pair."""
+    """The settings of ``torchreg batch`` for its pairs. A column of the pairs file changes a setting for its pair.
+
+    Example:
+        >>> from torchreg.batch import PairSettings
+        >>> PairSettings(effort="fast", voxel=0.05).scale
+        'shared'
+    """
 
     scale: str = setting(
         "shared",

@@ -32,6 +32,13 @@ class Tracked:
         clouds: B clouds.
         T_new_old: (B, 4, 4) float64, meters, rigid, origins included: takes a point of an old cloud to its place in
             the new one. The identity where nothing was moved; noise and thinning are no motion.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(100, 3))
+        >>> tracked = tr.augment.RandomMotion().tracked(cloud)
+        >>> torch.allclose(tr.transform(cloud, tracked.T_new_old).points, tracked.clouds.points, atol=1e-5)
+        True
     """
 
     clouds: Clouds
@@ -57,6 +64,13 @@ class Augmentation(nn.Module):
 
     Raises:
         ValueError: a probability outside [0, 1], or a generator that is not on the CPU.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(100, 3))
+        >>> change = tr.augment.RandomMotion(generator=torch.Generator().manual_seed(0))
+        >>> isinstance(change, tr.augment.Augmentation), len(change(cloud).points)
+        (True, 100)
     """
 
     @checked

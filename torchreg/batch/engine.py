@@ -49,6 +49,11 @@ class Engine(Protocol):
 
     Attributes:
         device: where it computes.
+
+    Example:
+        >>> from torchreg.batch import Engine, LocalEngine
+        >>> engine: Engine = LocalEngine(workers=0)
+        >>> engine.close()
     """
 
     device: str
@@ -75,6 +80,11 @@ class BatchProgress(NamedTuple):
         done: of its items, those done before this run included.
         total: items of the stage.
         failed: of those done, how many pairs are no success (of the last stage).
+
+    Example:
+        >>> from torchreg.batch import BatchProgress
+        >>> BatchProgress("register", done=3, total=10).failed
+        0
     """
 
     stage: str

@@ -40,6 +40,10 @@ class LocalEngine:
     Args:
         workers: processes; 0 works in this one.
         device: where to compute.
+
+    Example:
+        >>> from torchreg.batch import LocalEngine
+        >>> LocalEngine(workers=0).close()
     """
 
     @checked

@@ -43,6 +43,14 @@ class Pair:
         settings: of this pair.
         truth: rows of T_target_source, meters, where it is known.
         extra: other columns, carried into the table.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from pathlib import Path
+        >>> from torchreg.batch import PairSettings, pairs_of_file
+        >>> _ = Path("pairs.csv").write_text("source,target\\na.ply,b.ply\\n")
+        >>> pairs_of_file(Path("pairs.csv"), PairSettings())[0].source_text
+        'a.ply'
     """
 
     name: str
@@ -92,6 +100,14 @@ def pairs_of_file(path: Path, settings: PairSettings) -> tuple[Pair, ...]:
 
     Raises:
         ValueError: the file cannot be read, or a cell has no meaning; the message names the line or the pair.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from torchreg.batch import PairSettings, pairs_of_file
+        >>> _ = Path("pairs.csv").write_text("source,target,voxel\\na.ply,b.ply,0.1\\n")
+        >>> pair, = pairs_of_file(Path("pairs.csv"), PairSettings())
+        >>> pair.name, pair.settings.voxel
+        ('a__b', 0.1)
     """
     known = settings.flat()
     by_hand = path.suffix.lower() != ".json"
@@ -119,6 +135,16 @@ def pairs_of_glob(pattern: str, settings: PairSettings) -> tuple[Pair, ...]:
     Raises:
         ValueError: fewer than two clouds; other files do not count, nor do those that end in .txt or .csv unless the
             pattern ends so.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from pathlib import Path
+        >>> from torchreg.batch import PairSettings, pairs_of_glob
+        >>> Path("scans").mkdir(exist_ok=True)
+        >>> for name in "abc":
+        ...     tr.write_cloud(f"scans/{name}.ply", tr.Clouds(torch.rand(10, 3)))
+        >>> [pair.name for pair in pairs_of_glob("scans/*.ply", PairSettings())]
+        ['a__b', 'a__c', 'b__c']
     """
     asked_for = Path(pattern).suffix.lower()
     suffixes = {suffix for suffix in CLOUD_SUFFIXES if suffix == asked_for or suffix not in AMBIGUOUS_SUFFIXES}

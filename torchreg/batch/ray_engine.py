@@ -37,6 +37,11 @@ class RayEngine:
 
     Raises:
         ValueError: Ray is not installed, or no cluster answers at the address.
+
+    Example:
+        >>> from torchreg.batch import RayEngine
+        >>> engine = RayEngine(workers=4)  # doctest: +SKIP
+        >>> engine.close()  # doctest: +SKIP
     """
 
     @checked

@@ -39,6 +39,11 @@ class Bounds(NamedTuple):
     Attributes:
         degrees: of the rotation.
         meters: of the translation; ``None`` takes four inlier thresholds, six times the spacing of the points.
+
+    Example:
+        >>> from torchreg.batch import Bounds
+        >>> Bounds(degrees=15.0, meters=0.3).meters
+        0.3
     """
 
     degrees: float

@@ -35,6 +35,11 @@ class RunCounts(NamedTuple):
         described: clouds that were described in this run.
         reused: descriptions that were there already.
         changed: pairs of this run that had been finished with other clouds or lengths.
+
+    Example:
+        >>> from torchreg.batch import RunCounts
+        >>> RunCounts(before=4, now=6, described=5, reused=3, changed=0).now
+        6
     """
 
     before: int
@@ -73,6 +78,22 @@ def run(
     Raises:
         ValueError: two pairs of one name, or a finished pair that was written differently then.
         OSError: nothing can be written any more; finished pairs are kept.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from pathlib import Path
+        >>> from torchreg.batch import Bounds, LocalEngine, PairSettings, Store, pairs_of_file, run
+        >>> scans = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> tr.write_cloud("a.ply", scans.source)
+        >>> tr.write_cloud("b.ply", scans.target)
+        >>> _ = Path("pairs.csv").write_text("source,target\\na.ply,b.ply\\n")
+        >>> Path("described").mkdir(exist_ok=True)
+        >>> pairs = pairs_of_file(Path("pairs.csv"), PairSettings(effort="plain"))
+        >>> bounds = Bounds(degrees=15.0, meters=0.3)
+        >>> with Store(Path("results"), {}) as store:
+        ...     counts = run(pairs, store, LocalEngine(0), described=Path("described"), bounds=bounds)
+        >>> counts.now
+        1
     """
     twice = [name for name, count in Counter(pair.name for pair in pairs).items() if count > 1]
     expect(not twice, "pairs", "a name of its own for every pair", twice)

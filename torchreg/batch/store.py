@@ -76,6 +76,13 @@ class Store(RunFolder):
         ValueError: the folder belongs to a run of other settings or to something else, another process is at work in
             it, or a link stands where it has a file or folder of its own.
         OSError: it cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from torchreg.batch import Store
+        >>> with Store(Path("results_of_store"), {"seed": 0}) as store:
+        ...     len(store.finished())
+        0
     """
 
     @checked

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from torchreg.benchmark.core.study import Study, run_study
+from torchreg.benchmark.core.tables import narrow_parts
 from torchreg.benchmark.peers import METHODS
 from torchreg.benchmark.peers.comparison import ComparisonOptions
 from torchreg.benchmark.site.registry import SITE_METHODS
@@ -383,10 +384,11 @@ def _run_and_show(study: Study, out: Path) -> None:
         if isinstance(shown, str):
             console.print(shown, soft_wrap=True)
             continue
-        table = Table(*shown.head, title=shown.heading, title_justify="left")
-        for row in shown.rows:
-            table.add_row(*row)
-        console.print(table)
+        for part in narrow_parts(shown, console.width):
+            table = Table(*part.head, title=part.heading or None, title_justify="left")
+            for row in part.rows:
+                table.add_row(*row)
+            console.print(table)
     console.print(f"All tables: {legible(str(out / study.name))}.md", soft_wrap=True)
 
 

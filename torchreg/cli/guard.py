@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from typing import Any
 
 import typer
@@ -24,12 +25,13 @@ class GuardedGroup(TyperGroup):
 
     ``ValueError`` (of which ``CloudFileError`` is one) and ``OSError`` are mistakes of the user: 2. Any other exception
     is a defect: 1. A signal that ends the process gives 128 and its number. With ``TORCHREG_DEBUG=1`` in the
-    environment, exceptions pass through.
+    environment, exceptions pass through. Warnings are said in the words of the command line, too.
     """
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401  # the context's type is another one in older typers
         """Run the command that was asked for."""
-        with terminable():
+        with terminable(), warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: complain(str(message))
             return self._guarded(ctx)
 
     def _guarded(self, ctx: Any) -> Any:  # noqa: ANN401

@@ -34,6 +34,11 @@ class CloudReader:
 
     Raises:
         ValueError: an invalid option; the message names it.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.datasets.CloudReader(voxel_size=0.05, colors=True).viewpoint
+        'auto'
     """
 
     voxel_size: float | None = None
@@ -87,6 +92,14 @@ class CloudFiles(Dataset[Clouds]):
     Attributes:
         paths: the files, one an item.
         reader: reads them.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from pathlib import Path
+        >>> tr.write_cloud("one.ply", tr.Clouds(torch.rand(10, 3)))
+        >>> files = tr.datasets.CloudFiles([Path("one.ply")], tr.datasets.CloudReader())
+        >>> len(files), len(files[0].points)
+        (1, 10)
     """
 
     @checked

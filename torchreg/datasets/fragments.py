@@ -51,6 +51,17 @@ class Fragments(PairFiles):
         CloudFileError: no fragments or no log, a log that cannot be read or is cut short, a matrix that is not
             rigid, a pair twice, a missing fragment, or a ``gt.info`` without a pair of the log.
         ValueError: another argument is invalid.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from pathlib import Path
+        >>> Path("scene").mkdir(exist_ok=True)
+        >>> for number in range(2):
+        ...     tr.write_cloud(f"scene/cloud_bin_{number}.ply", tr.Clouds(torch.rand(10, 3)))
+        >>> _ = Path("scene/gt.log").write_text("0 1 2\\n1 0 0 0\\n0 1 0 0\\n0 0 1 0\\n0 0 0 1\\n")
+        >>> fragments = tr.datasets.Fragments("scene")
+        >>> len(fragments), fragments[0].name
+        (1, 'scene__cloud_bin_1__cloud_bin_0')
     """
 
     @checked

@@ -36,6 +36,12 @@ def simulated_pairs(first: int, places: int) -> Iterator[PosedPair]:
         places: of each kind, at least 0.
 
     The same arguments give the same bits.
+
+    Example:
+        >>> import torchreg as tr
+        >>> posed = next(tr.datasets.simulated_pairs(first=0, places=1))
+        >>> posed.group, posed.pair.name
+        ('malls', 'mall-0')
     """
     at_least(first, "first", 0)
     at_least(places, "places", 0)

@@ -77,6 +77,12 @@ def soft_equalize(hue: Tensor, offsets: Tensor, bandwidth: float = 1.0) -> Tenso
 
     Raises:
         ValueError: shapes that do not fit, or hues or a bandwidth out of their range.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> hue = torch.tensor([0.1, 0.1, 0.2, 0.9])
+        >>> tr.soft_equalize(hue, torch.tensor([0, 4])).shape
+        torch.Size([4])
     """
     expect_shape(hue, "hue", ("P",), "floating")
     fraction(bandwidth, "bandwidth")

@@ -52,6 +52,13 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
 
     Raises:
         ValueError: no colors, or shapes that do not fit.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3), colors=torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> tr.contrast(cloud, near, radius=0.5).values.shape
+        torch.Size([50, 10])
     """
     colors = colors_of(cloud)
     count = len(colors)
@@ -69,7 +76,14 @@ def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Feat
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class Contrast(Descriptor):
-    """``torchreg.contrast``: spread and shift of brightness per channel, near and far."""
+    """``torchreg.contrast``: spread and shift of brightness per channel, near and far.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.Contrast(radius=0.5),), weights=(1.0,))
+        >>> options.descriptors[0].name, options.descriptors[0].needs_colors
+        ('contrast', True)
+    """
 
     name: ClassVar[str] = "contrast"
     needs_colors: ClassVar[bool] = True

@@ -123,6 +123,11 @@ class Fpfh(Descriptor):
 
     Attributes:
         mode: ``"open3d"`` or ``"pcl"``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.Fpfh(radius=0.25).scaled(2.0)
+        Fpfh(radius=0.5, max_neighbors=100, mode='open3d')
     """
 
     name: ClassVar[str] = "fpfh"

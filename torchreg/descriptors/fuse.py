@@ -28,6 +28,14 @@ def fuse(*features: Features, weights: tuple[float, ...] | None = None) -> Featu
 
     Raises:
         ValueError: nothing to fuse, different points, or a weight that is not above 0.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3), colors=torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.fuse(tr.fpfh(cloud, near), tr.pcfh(cloud, near), weights=(1.0, 0.5)).blocks
+        (('fpfh', 33), ('pcfh', 11))
     """
     expect(len(features) > 0, "features", "at least one descriptor", features)
     weights = (1.0,) * len(features) if weights is None else weights

@@ -178,7 +178,13 @@ def load_weights(path: Path = SHIPPED) -> LearnedColor:
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class Learned(Descriptor):
-    """Histograms of color differences with trained bins and weights (``torchreg.LEARNED``)."""
+    """Histograms of color differences with trained bins and weights (``torchreg.LEARNED``).
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.Learned(radius=2.0).needs_colors
+        True
+    """
 
     name: ClassVar[str] = "learned"
     needs_colors: ClassVar[bool] = True

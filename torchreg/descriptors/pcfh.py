@@ -82,6 +82,13 @@ def pcfh(
     Raises:
         ValueError: no colors, an unknown channel, shapes that do not fit, a bandwidth or edges out of their range, or
             options of soft binning with hard binning.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3), colors=torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> tr.pcfh(cloud, near).values.shape
+        torch.Size([50, 11])
     """
     at_least(bins, "bins", 1)
     expect(len(channels) > 0, "channels", "at least one channel", channels)
@@ -127,6 +134,11 @@ class Pcfh(Descriptor):
         equalization: histogram equalization of hue: ``"none"``, per ``"cloud"``, or ``"joint"``, one map for both
             clouds of a pair.
         saturation_weighting: votes on hue count by the saturation of both points, so that gray points do not count.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.Pcfh(radius=0.25, channels=("hue", "saturation", "value"), equalization="none").bins
+        11
     """
 
     name: ClassVar[str] = "pcfh"

@@ -78,6 +78,13 @@ def transform(clouds: Clouds, T_to_from: Tensor) -> Clouds:
     Raises:
         ValueError: another shape, numbers that are not finite, or a matrix that is not rigid within 1e-3, such as a
             reflection or a scale.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> T[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])  # a quarter turn about z
+        >>> tr.transform(tr.Clouds(torch.tensor([[2.0, 0.0, 0.0]])), T).points
+        tensor([[0., 2., 0.]])
     """
     T = T_to_from.to(device=clouds.device, dtype=torch.float64)
     expect(T.shape in ((4, 4), (len(clouds), 4, 4)), "T_to_from", f"(4, 4) or ({len(clouds)}, 4, 4)", T_to_from)

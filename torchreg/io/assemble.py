@@ -80,6 +80,13 @@ class CloudFile:
             scanner's own frame in the frame of the file.
         unit: of the coordinates, where the file says it, such as "m" or "us-ft".
         voxel: meters, edge of the cubes in which points were averaged while they were read, or ``None``.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.write_cloud("a.ply", tr.Clouds(torch.rand(10, 3)))
+        >>> file = tr.io.read_cloud_report("a.ply")
+        >>> file.format, file.points_in_file
+        ('ply binary_little_endian', 10)
     """
 
     cloud: Clouds

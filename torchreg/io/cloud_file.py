@@ -103,6 +103,12 @@ def read_cloud_report(
         dtype: likewise.
         reading: all options at once, in place of ``viewpoint`` and ``dtype``.
         progress: is called with the rows read so far and the rows of the scan (``None`` where the file does not say).
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.write_cloud("a.ply", tr.Clouds(torch.rand(10, 3)))
+        >>> tr.io.read_cloud_report("a.ply").viewpoint_source
+        'none: not known, as the file says'
     """
     reading = Reading(viewpoint=viewpoint, dtype=dtype) if reading is None else reading
     scan = checked_scan(scan)
@@ -114,7 +120,14 @@ def read_cloud_report(
 def each_scan(
     path: str | os.PathLike[str], *, reading: Reading | None = None, progress: Progress | None = None
 ) -> Iterator[CloudFile]:
-    """Read the scans of a file as ``read_scans`` does, one after another: memory is for the one that is looked at."""
+    """Read the scans of a file as ``read_scans`` does, one after another: memory is for the one that is looked at.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.write_cloud("a.ply", tr.Clouds(torch.rand(10, 3)))
+        >>> [len(file.cloud.points) for file in tr.io.each_scan("a.ply")]
+        [10]
+    """
     reading = Reading() if reading is None else reading
     scans, notes = with_points(Path(path), scans_of(path, reading.columns))
     for _, one in scans:
@@ -198,6 +211,12 @@ def write_cloud(
         ValueError: another suffix, a batch of several clouds, a matrix that is not rigid, no such folder, points
             that are not finite in LAS or LAZ, fields of another number of points.
         CloudFileError: a package that writes the format is not installed.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.write_cloud("a.e57", tr.Clouds(torch.rand(10, 3), colors=torch.rand(10, 3)))
+        >>> len(tr.read_cloud("a.e57").points)
+        10
     """
     suffix = Path(path).suffix.lower()
     writer = WRITERS.get(suffix)
@@ -229,6 +248,14 @@ def write_scans(path: str | os.PathLike[str], scans: Iterable[PosedScan]) -> Non
     Raises:
         ValueError: another suffix, no scan, no such folder, points that are not finite in PTX.
         CloudFileError: a package that writes the format is not installed.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> poses = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
+        >>> scans = [tr.io.posed_scan(tr.Clouds(torch.rand(10, 3)), T) for T in poses]
+        >>> tr.io.write_scans("site.ptx", scans)
+        >>> len(tr.read_scans("site.ptx"))
+        2
     """
     writer = SCANS_WRITERS.get(Path(path).suffix.lower())
     if writer is None:

@@ -27,6 +27,11 @@ class PointFields:
 
     Raises:
         ValueError: another shape or dtype, or a number out of range.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> fields = tr.io.PointFields(intensity=torch.rand(10))
+        >>> tr.write_cloud("a.laz", tr.Clouds(torch.rand(10, 3)), fields=fields)
     """
 
     intensity: Tensor | None = None

@@ -29,6 +29,16 @@ def from_pytorch3d(clouds: Any, *, colors: bool = True) -> Clouds:  # noqa: ANN4
 
     Raises:
         ValueError: something else, or features of another width.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> class Pointclouds:  # or pytorch3d.structures.Pointclouds
+        ...     def __init__(self, points):
+        ...         self.points_list = lambda: points
+        ...         self.normals_list = self.features_list = lambda: None
+        >>> clouds = tr.from_pytorch3d(Pointclouds([torch.rand(5, 3)]))
+        >>> len(clouds.points)
+        5
     """
     expect(hasattr(clouds, "points_list"), "clouds", "Pointclouds of PyTorch3D", clouds)
     features = clouds.features_list() if colors else None
@@ -44,6 +54,13 @@ def to_pytorch3d(clouds: Clouds, Pointclouds: Callable[..., Any]) -> Any:  # noq
     Args:
         clouds: B.
         Pointclouds: the class, ``pytorch3d.structures.Pointclouds``.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from types import SimpleNamespace  # in place of pytorch3d.structures.Pointclouds
+        >>> clouds = tr.to_pytorch3d(tr.Clouds(torch.rand(5, 3)), SimpleNamespace)
+        >>> clouds.points[0].shape
+        torch.Size([5, 3])
     """
     wide = _with_origins(clouds)
     of_all = (wide.points, wide.normals, wide.colors)
@@ -62,6 +79,13 @@ def from_pyg(data: Any, *, colors: str | None = "color", normals: str | None = "
 
     Raises:
         ValueError: something else, or a ``batch`` whose clouds do not follow one after another.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from types import SimpleNamespace  # in place of PyTorch Geometric's Data
+        >>> data = SimpleNamespace(pos=torch.rand(5, 3), color=torch.rand(5, 3), normal=None)
+        >>> tr.from_pyg(data).colors.shape
+        torch.Size([5, 3])
     """
     points = getattr(data, "pos", None)
     if not isinstance(points, Tensor):
@@ -82,6 +106,13 @@ def to_pyg(clouds: Clouds, Data: Callable[..., Any]) -> Any:  # noqa: ANN401
     Args:
         clouds: B.
         Data: the class, ``torch_geometric.data.Data`` or ``Batch``.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from types import SimpleNamespace
+        >>> data = tr.to_pyg(tr.Clouds(torch.rand(5, 3)), SimpleNamespace)  # or PyTorch Geometric's Data
+        >>> data.pos.shape
+        torch.Size([5, 3])
     """
     wide = _with_origins(clouds)
     fields = {"pos": wide.points, "color": wide.colors, "normal": wide.normals}

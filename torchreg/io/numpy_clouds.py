@@ -24,6 +24,12 @@ class NumpyCloud(NamedTuple):
         points: (P, 3) float64, meters, origin included.
         colors: (P, 3) in [0, 1], in the dtype of the cloud, or ``None``.
         normals: (P, 3) of unit length, likewise.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> arrays = tr.to_numpy(tr.Clouds(torch.rand(10, 3)))
+        >>> arrays.points.shape, arrays.colors is None
+        ((10, 3), True)
     """
 
     points: NDArray[np.float64]

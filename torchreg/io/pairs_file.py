@@ -42,6 +42,14 @@ class PairRow:
         T_target_source: (4, 4) float64, meters, the true motion ``x_target = R @ x_source + t``, or ``None``
             where the table does not say.
         extra: cells of other columns by the column's name in lower case; empty cells are left out.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from pathlib import Path
+        >>> _ = Path("pairs.csv").write_text("source,target\\na.ply,b.ply\\n")
+        >>> row = tr.io.read_pairs_file("pairs.csv")[0]
+        >>> row.line, row.source_text
+        (2, 'a.ply')
     """
 
     line: int

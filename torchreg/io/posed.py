@@ -16,7 +16,14 @@ from torchreg.types import Clouds
 
 
 class PosedScan(NamedTuple):
-    """One scan of a file of scans, on the CPU in float64."""
+    """One scan of a file of scans, on the CPU in float64.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> scan = tr.io.posed_scan(tr.Clouds(torch.rand(10, 3)), torch.eye(4, dtype=torch.float64), name="hall")
+        >>> scan.name, scan.T_file_scan.shape
+        ('hall', torch.Size([4, 4]))
+    """
 
     cloud: Clouds
     """In the scan's own frame, its origin zero."""
@@ -55,6 +62,11 @@ def posed_scan(
 
     Raises:
         ValueError: a batch of several clouds, a matrix that is not rigid, fields of another number of points.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> scan = tr.io.posed_scan(tr.Clouds(torch.rand(10, 3)), torch.eye(4, dtype=torch.float64), name="hall")
+        >>> tr.io.write_scans("hall.ptx", [scan])
     """
     expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
     wide = cloud.detach().to(device="cpu", dtype=torch.float64)

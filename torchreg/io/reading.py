@@ -42,6 +42,13 @@ class Reading:
 
     Raises:
         ValueError: an invalid option; the message names it.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.write_cloud("a.ply", tr.Clouds(torch.rand(1000, 3)))
+        >>> file = tr.io.read_cloud_report("a.ply", reading=tr.io.Reading(units="mm", voxel=0.0005))
+        >>> len(file.cloud.points) < 1000
+        True
     """
 
     viewpoint: Viewpoint = "auto"

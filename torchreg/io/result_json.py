@@ -69,6 +69,13 @@ def result_to_dict(
 
     Raises:
         ValueError: ``pair`` is not one of the result's.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> result = tr.register(pair.source, pair.target, effort="plain")
+        >>> tr.io.result_to_dict(result, seed=0, source="a.ply", target="b.ply")["source"]
+        'a.ply'
     """
     expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
     success, T = bool(result.success[pair]), likeliest_pose(result, pair)
@@ -116,6 +123,12 @@ def write_result_json(
 
     Raises:
         ValueError: ``pair`` is not one of the result's, or the folder does not exist.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> result = tr.register(pair.source, pair.target, effort="plain")
+        >>> tr.io.write_result_json("ab.json", result, seed=0, source="a.ply", target="b.ply")
     """
     content = result_to_dict(result, pair, seed=seed, source=source, target=target)
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

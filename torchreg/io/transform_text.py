@@ -34,6 +34,12 @@ def write_transform_text(path: str | os.PathLike[str], T: Tensor, *, form: str =
 
     Raises:
         ValueError: not a rigid transform, no such form, or no such folder.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.io.write_transform_text("T.txt", torch.eye(4, dtype=torch.float64))
+        >>> tr.io.read_transform_text("T.txt").shape
+        torch.Size([4, 4])
     """
     text = TRANSFORM_FORMATS[one_of(form, "form", tuple(TRANSFORM_FORMATS))]
     write_text(path, text(checked_rigid(T, "T")))

@@ -42,6 +42,13 @@ def verification_to_dict(
 
     Raises:
         ValueError: ``pair`` is not one of the result's.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> verification = tr.verify(pair.source, pair.target, pair.T_target_source)
+        >>> sorted(tr.io.verification_to_dict(verification, seed=0, source="a.ply", target="b.ply"))[:3]
+        ['T_target_source', 'candidate', 'deviation_degrees']
     """
     expect(0 <= pair < len(result), "pair", f"a number from 0 to {len(result) - 1}", pair)
     failure = result.failure[pair]

@@ -42,6 +42,14 @@ class MatchQuality:
         matches: how many.
         inliers: how many of them are right.
         inlier_ratio: their share, 0 without matches.
+
+    Example:
+        >>> import torchreg as tr
+        >>> quality = tr.learning.MatchQuality(
+        ...     features="fpfh", pair="a", group="hall", matches=100, inliers=20, inlier_ratio=0.2
+        ... )
+        >>> quality.inliers
+        20
     """
 
     features: str
@@ -53,7 +61,16 @@ class MatchQuality:
 
 
 class GroupQuality(NamedTuple):
-    """Means over the pairs of a group."""
+    """Means over the pairs of a group.
+
+    Example:
+        >>> import torchreg as tr
+        >>> one = tr.learning.MatchQuality(
+        ...     features="fpfh", pair="a", group="hall", matches=100, inliers=20, inlier_ratio=0.2
+        ... )
+        >>> tr.learning.by_group([one])[0].feature_match_recall
+        1.0
+    """
 
     features: str
     group: str
@@ -71,6 +88,14 @@ def match_quality(methods: dict[str, Describe], pairs: Iterable[PosedPair]) -> I
         methods: from the name of features to what describes a cloud, such as ``baselines()`` and
             ``network_features(network)``.
         pairs: held out of all training.
+
+    Example:
+        >>> import torchreg as tr
+        >>> scans = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> posed = tr.learning.PosedPair(scans, group="mall", voxel=1.0)
+        >>> methods = {"fpfh": tr.learning.baselines()["fpfh"]}
+        >>> [quality.features for quality in tr.learning.match_quality(methods, [posed])]
+        ['fpfh']
     """
     return (quality for posed in pairs for quality in _qualities(methods, posed))
 
@@ -93,7 +118,16 @@ def _qualities(methods: dict[str, Describe], posed: PosedPair) -> list[MatchQual
 
 @entry
 def by_group(qualities: Sequence[MatchQuality]) -> list[GroupQuality]:
-    """Means by group and features, groups in order of appearance; at last over all pairs, as the group ``"all"``."""
+    """Means by group and features, groups in order of appearance; at last over all pairs, as the group ``"all"``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> one = tr.learning.MatchQuality(
+        ...     features="fpfh", pair="a", group="hall", matches=100, inliers=20, inlier_ratio=0.2
+        ... )
+        >>> tr.learning.by_group([one])[0].inlier_ratio
+        0.2
+    """
     rows = []
     groups = list(dict.fromkeys(quality.group for quality in qualities))
     for group in [*groups, "all"]:
@@ -108,7 +142,13 @@ def by_group(qualities: Sequence[MatchQuality]) -> list[GroupQuality]:
 
 
 def baselines() -> dict[str, Describe]:
-    """What ships: FPFH, the default's features, and those of ``torchreg.LEARNED``; without colors, geometry alone."""
+    """What ships: FPFH, the default's features, and those of ``torchreg.LEARNED``; without colors, geometry alone.
+
+    Example:
+        >>> import torchreg as tr
+        >>> sorted(tr.learning.baselines())
+        ['LEARNED', 'default', 'fpfh']
+    """
     return {
         "fpfh": lambda side, voxel: described_by(side, options_for(voxel, colored=False)),
         "default": lambda side, voxel: described_by(side, options_for(voxel)),
@@ -118,7 +158,13 @@ def baselines() -> dict[str, Describe]:
 
 @entry
 def network_features(network: PointNetwork, *, weight: float = 1.0) -> dict[str, Describe]:
-    """The features of a network alone, and as a block beside the default's with a weight."""
+    """The features of a network alone, and as a block beside the default's with a weight.
+
+    Example:
+        >>> import torchreg as tr
+        >>> sorted(tr.learning.network_features(tr.nn.PointNetwork()))
+        ['default + network', 'network']
+    """
     return {"network": partial(_alone, network), "default + network": partial(_beside, network, weight)}
 
 

@@ -47,6 +47,11 @@ class NetworkTrainingOptions:
         partner_voxels: points nearer than so many voxels under the true motion are the same place; those within twice
             as far do not count as wrong.
         seed: of all draws.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.learning.NetworkTrainingOptions(steps=300).anchors
+        1024
     """
 
     steps: int = 3000

@@ -17,8 +17,14 @@ class PoseLoss(NamedTuple):
 
     Attributes:
         rotation: (...,) radians in [0, pi], the angle of R_true^T R_estimated.
-        translation: (...,) meters, |t_estimated - t_true|.
+        translation: (...,) meters, ``|t_estimated - t_true|``.
         total: (...,) their weighted sum; train on its mean.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> T = torch.eye(4, dtype=torch.float64).expand(2, 4, 4)
+        >>> tr.learning.pose_loss(T, T).total
+        tensor([0., 0.], dtype=torch.float64)
     """
 
     rotation: Tensor
@@ -32,9 +38,9 @@ def pose_loss(
 ) -> PoseLoss:
     """Rotation geodesic plus translation: the errors of Eq. (5) and (6) of the paper, in radians and meters.
 
-    The angle comes from its sine and cosine together, atan2(|axial(R)|, trace(R) - 1) with R = R_true^T R_estimated:
-    exact at small angles, and with a gradient whose entries are at most 1 everywhere. The geodesic has a kink
-    where the rotations are equal and one where they lie 180 degrees apart, as |x| has one at 0: exactly there the
+    The angle comes from its sine and cosine together, ``atan2(|axial(R)|, trace(R) - 1)`` with R = R_true^T
+    R_estimated: exact at small angles, and with a gradient whose entries are at most 1 everywhere. It has a kink
+    where the rotations are equal and one where they lie 180 degrees apart, as ``|x|`` has one at 0: exactly there the
     gradient is zero, a subgradient. The same holds for a translation that is exactly right.
 
     The translation error depends on where the frames have their origin. Weights of 1 say that a radian costs as much

@@ -38,6 +38,12 @@ class PosedPair:
 
     Raises:
         ValueError: no known motion, or a voxel not above 0.
+
+    Example:
+        >>> import torchreg as tr
+        >>> posed = tr.learning.PosedPair(tr.datasets.mall(seed=1, angular_step=4.0), group="mall", voxel=0.5)
+        >>> posed.pair.name
+        'mall-1'
     """
 
     pair: ScanPair

@@ -25,6 +25,12 @@ class PreparedCloud:
         cloud: with normals and colors.
         near: the support of FPFH, 5 voxels and 100 nearest; color supports are restricted from it.
         fpfh: hard FPFH.
+
+    Example:
+        >>> import torchreg as tr
+        >>> side = tr.learning.prepare_cloud(tr.datasets.mall(seed=1, angular_step=4.0).source, voxel=1.0)
+        >>> len(side.fpfh.values) == len(side.cloud.points)
+        True
     """
 
     cloud: Clouds
@@ -44,6 +50,15 @@ class PreparedPair:
         target: likewise.
         T_target_source: (4, 4) float64, meters, the true motion, origins included.
         voxel: meters; other lengths are multiples of it.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> prepared = tr.learning.prepare_pair(
+        ...     pair.source, pair.target, pair.T_target_source, 1.0, name=pair.name, scene="mall"
+        ... )
+        >>> prepared.name
+        'mall-1'
     """
 
     name: str
@@ -68,6 +83,13 @@ def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
 
     Raises:
         ValueError: more than one cloud, no colors, or a voxel size not above 0.
+
+    Example:
+        >>> import torchreg as tr
+        >>> cloud = tr.datasets.mall(seed=1, angular_step=4.0).source
+        >>> side = tr.learning.prepare_cloud(cloud, voxel=1.0)
+        >>> side.fpfh.blocks
+        (('fpfh', 33),)
     """
     expect(len(cloud) == 1, "cloud", "one cloud", len(cloud))
     expect_in_words(cloud.colors is not None, "cloud", "colors", "none")
@@ -82,7 +104,17 @@ def prepare_cloud(cloud: Clouds, voxel: float) -> PreparedCloud:
 def prepare_pair(
     source: Clouds, target: Clouds, T_target_source: Tensor, voxel: float, *, name: str, scene: str
 ) -> PreparedPair:
-    """Prepare both scans of a pair; arguments as the attributes of ``PreparedPair``."""
+    """Prepare both scans of a pair; arguments as the attributes of ``PreparedPair``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> prepared = tr.learning.prepare_pair(
+        ...     pair.source, pair.target, pair.T_target_source, 1.0, name=pair.name, scene="mall"
+        ... )
+        >>> prepared.voxel
+        1.0
+    """
     expect(T_target_source.shape == (4, 4), "T_target_source", "(4, 4)", T_target_source)
     return PreparedPair(
         name,

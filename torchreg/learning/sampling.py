@@ -26,6 +26,12 @@ class Samples(NamedTuple):
     Attributes:
         rows: (H, S) int64, of correspondences, all different within a sample, in the order drawn.
         log_probability: (H,) of drawing each in this order, with gradients to the logits.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> drawn = tr.learning.draw_samples(torch.ones(20), 8, generator=torch.Generator().manual_seed(0))
+        >>> drawn.rows.shape
+        torch.Size([8, 3])
     """
 
     rows: Tensor

@@ -29,6 +29,13 @@ class SoftSelection(NamedTuple):
         score: (H,) in [0, 1], the soft share of inliers by weight.
         probability: (H,), sums to one.
         log_probability: (H,).
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> points = torch.rand(20, 3)
+        >>> selection = tr.learning.select_softly(points, points, torch.randint(20, (8, 3)), inlier_threshold=0.1)
+        >>> selection.probability.sum().round()
+        tensor(1.)
     """
 
     T_target_source: Tensor
@@ -44,6 +51,14 @@ class DrawnHypothesis(NamedTuple):
         hypothesis: () int64, its index.
         T_target_source: (4, 4).
         log_probability: (), of drawing it.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> points = torch.rand(20, 3)
+        >>> selection = tr.learning.select_softly(points, points, torch.randint(20, (8, 3)), inlier_threshold=0.1)
+        >>> drawn = tr.learning.draw_hypothesis(selection)
+        >>> 0 <= int(drawn.hypothesis) < 8
+        True
     """
 
     hypothesis: Tensor
@@ -83,7 +98,7 @@ def select_softly(
     Example:
         >>> import torch
         >>> points = torch.rand(20, 3, dtype=torch.float64)
-        >>> samples = draw_samples(torch.zeros(20), 8, generator=torch.Generator().manual_seed(0))
+        >>> samples = tr.learning.draw_samples(torch.zeros(20), 8, generator=torch.Generator().manual_seed(0))
         >>> chosen = select_softly(points, points + 1, samples.rows, inlier_threshold=0.1)
         >>> chosen.T_target_source.shape, bool((chosen.score > 0.99).all())
         (torch.Size([8, 4, 4]), True)
@@ -122,6 +137,13 @@ def expected_loss(selection: SoftSelection, losses: Tensor) -> Tensor:
 
     Raises:
         ValueError: shapes do not fit.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> points = torch.rand(20, 3)
+        >>> selection = tr.learning.select_softly(points, points, torch.randint(20, (8, 3)), inlier_threshold=0.1)
+        >>> tr.learning.expected_loss(selection, torch.ones(8)).round()
+        tensor(1.)
     """
     expect_shape(losses, "losses", (len(selection.probability),))
     return (selection.probability * losses).sum()
@@ -138,6 +160,14 @@ def draw_hypothesis(selection: SoftSelection, *, generator: torch.Generator | No
     Returns:
         The hypothesis. Gradients flow from the transform to the points, from the log-probability to points and
         weights.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> points = torch.rand(20, 3)
+        >>> samples = torch.randint(20, (8, 3))
+        >>> selection = tr.learning.select_softly(points, points, samples, inlier_threshold=0.1)
+        >>> tr.learning.draw_hypothesis(selection, generator=torch.Generator().manual_seed(0)).T_target_source.shape
+        torch.Size([4, 4])
     """
     probability = selection.probability.detach()
     device = probability.device if generator is None else generator.device

@@ -33,6 +33,11 @@ class TrainingOptions:
         partner_radius: in voxels; points nearer than this under the truth are partners, and those within twice as far
             do not count as wrong.
         seed: of all random draws.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.learning.TrainingOptions(steps=10).temperature
+        0.05
     """
 
     steps: int = 60
@@ -54,7 +59,17 @@ class TrainingOptions:
 
 @entry
 def describe_with(model: LearnedColor, side: PreparedCloud, radius: float) -> Features:
-    """Features of a prepared cloud; ``radius`` in meters."""
+    """Features of a prepared cloud; ``radius`` in meters.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.descriptors.learned import LearnedColor
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> side = tr.learning.prepare_cloud(pair.source, voxel=1.0)
+        >>> features = tr.learning.describe_with(LearnedColor(), side, radius=2.0)
+        >>> len(features.values) == len(side.cloud.points)
+        True
+    """
     return model.fused(side.fpfh, model(side.cloud, side.near.restrict(radius).trimmed(), radius))
 
 
@@ -82,6 +97,17 @@ def train_color(
 
     Raises:
         ValueError: no pairs, or none whose scans overlap.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.descriptors.learned import LearnedColor
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> prepared = tr.learning.prepare_pair(
+        ...     pair.source, pair.target, pair.T_target_source, 1.0, name=pair.name, scene="mall"
+        ... )
+        >>> losses = tr.learning.train_color(LearnedColor(), [prepared], tr.learning.TrainingOptions(steps=2))
+        >>> len(losses)
+        2
     """
     options = options or TrainingOptions()
     expect(len(pairs) > 0, "pairs", "at least one", pairs)

@@ -43,6 +43,12 @@ def match_mutual(
     Raises:
         ValueError: different numbers of clouds, widths or dtypes, a ratio outside (0, 1], ``neighbors`` below 1, or
             a ratio and ``neighbors`` above 1: a second nearest that is as good would be another match.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> rows = tr.Features(torch.eye(3), torch.tensor([0, 3]), (("any", 3),), torch.tensor([True, True, True]))
+        >>> tr.match_mutual(rows, rows).target
+        tensor([0, 1, 2])
     """
     expect_comparable(source, target)
     at_least(neighbors, "neighbors", 1)

@@ -26,13 +26,26 @@ def fitness(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: 
 
     Returns:
         (B,) float64; 0 for an empty cloud. No gradients.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> tr.metrics.fitness(cloud, cloud, torch.eye(4, dtype=torch.float64)[None], threshold=0.1)
+        tensor([1.], dtype=torch.float64)
     """
     return _coverage(source, target, T_target_source, threshold)[0]
 
 
 @entry
 def inlier_rmse(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: float) -> Tensor:
-    """Root mean square distance (B,), meters, of the points that ``fitness`` counts; 0 where there are none."""
+    """Root mean square distance (B,), meters, of the points that ``fitness`` counts; 0 where there are none.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> tr.metrics.inlier_rmse(cloud, cloud, torch.eye(4, dtype=torch.float64)[None], threshold=0.1)
+        tensor([0.], dtype=torch.float64)
+    """
     return _coverage(source, target, T_target_source, threshold)[1]
 
 
@@ -42,6 +55,12 @@ def overlap(source: Clouds, target: Clouds, T_target_source: Tensor, threshold: 
 
     As in the overlap of 3DMatch pairs (Huang et al., Predator, CVPR 2021, doi:10.1109/CVPR46437.2021.00425),
     made symmetric.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> tr.metrics.overlap(cloud, cloud, torch.eye(4, dtype=torch.float64)[None], threshold=0.1)
+        tensor([1.], dtype=torch.float64)
     """
     forth = fitness(source, target, T_target_source, threshold)
     back = fitness(target, source, inverse(T_target_source), threshold)

@@ -32,6 +32,12 @@ def inlier_ratio(
 
     Returns:
         (B,) float64; 0 for a pair without correspondences. No gradients.
+
+    Example:
+        >>> import torchreg as tr
+        >>> made = tr.synthetic.match_problem(100, 0.75)
+        >>> tr.metrics.inlier_ratio(made.source, made.target, made.matches, made.T_target_source, threshold=0.1)
+        tensor([0.2500], dtype=torch.float64)
     """
     positive(threshold, "threshold")
     R, t = relative_transform(source, target, T_target_source)
@@ -46,7 +52,13 @@ def inlier_ratio(
 
 @entry
 def feature_match_recall(inlier_ratios: Tensor, least: float = 0.05) -> Tensor:
-    """Share of pairs whose inlier ratio (B,) exceeds ``least`` (0.05 in PPFNet, CVPR 2018), a scalar."""
+    """Share of pairs whose inlier ratio (B,) exceeds ``least`` (0.05 in PPFNet, CVPR 2018), a scalar.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.metrics.feature_match_recall(torch.tensor([0.02, 0.3, 0.5, 0.6]))
+        tensor(0.7500, dtype=torch.float64)
+    """
     expect_shape(inlier_ratios, "inlier_ratios", ("B",))
     expect(len(inlier_ratios) > 0, "inlier_ratios", "at least one pair", inlier_ratios)
     return (inlier_ratios > least).double().mean()
@@ -71,6 +83,13 @@ def rmse_of_true_matches(
 
     Returns:
         (B,) float64, meters; infinite where nothing overlaps. No gradients.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> T = torch.eye(4, dtype=torch.float64)[None]
+        >>> tr.metrics.rmse_of_true_matches(cloud, cloud, T, T, threshold=0.1)
+        tensor([0.], dtype=torch.float64)
     """
     positive(threshold, "threshold")
     expect_shape(T_estimated, "T_estimated", (len(source), 4, 4))
@@ -102,6 +121,13 @@ def rmse_by_information(T_true: Tensor, T_estimated: Tensor, information: Tensor
 
     Returns:
         (...,) float64, meters; infinite where the information holds no match.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> information = tr.metrics.information_of_matches(torch.rand(50, 3))
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> tr.metrics.rmse_by_information(T[None], T[None], information[None])
+        tensor([0.], dtype=torch.float64)
     """
     sizes = (("T_true", T_true, 4), ("T_estimated", T_estimated, 4), ("information", information, 6))
     for name, value, size in sizes:
@@ -122,6 +148,11 @@ def information_of_matches(points: Tensor) -> Tensor:
 
     Args:
         points: (M, 3) of the source that have a true partner, meters, in the source's frame, origin included.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.metrics.information_of_matches(torch.rand(50, 3)).shape
+        torch.Size([6, 6])
     """
     expect_shape(points, "points", ("M", 3))
     p = points.detach().double()

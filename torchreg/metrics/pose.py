@@ -21,6 +21,11 @@ class PoseErrors(NamedTuple):
         rte_meters: relative translation error (Eq. 6), in frames whose zeros are the origin of the source and its true
             place: with coordinates of a map it tells of the scene, not of a zero thousands of kilometers away.
         rmse_meters: root mean square distance between the source points under the two transforms (Eq. 7).
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.metrics.PoseErrors(rre_degrees=0.5, rte_meters=0.02, rmse_meters=0.03).rte_meters
+        0.02
     """
 
     rre_degrees: float
@@ -66,6 +71,13 @@ def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
 
     Returns:
         (...,) in [0, 180]. Gradients flow, except at 0 and 180 degrees.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> quarter = torch.eye(4, dtype=torch.float64)
+        >>> quarter[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+        >>> tr.metrics.rre(torch.eye(4, dtype=torch.float64), quarter)
+        tensor(90., dtype=torch.float64)
     """
     _check(T_true, T_estimated)
     R = T_true[..., :3, :3].transpose(-1, -2) @ T_estimated[..., :3, :3]
@@ -76,7 +88,15 @@ def rre(T_true: Tensor, T_estimated: Tensor) -> Tensor:
 
 @entry
 def rte(T_true: Tensor, T_estimated: Tensor) -> Tensor:
-    """Relative translation error, meters (Eq. 6): |t_true - t_estimated|, (...,). Gradients flow."""
+    """Relative translation error, meters (Eq. 6): ``|t_true - t_estimated|``, (...,). Gradients flow.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> shifted = torch.eye(4, dtype=torch.float64)
+        >>> shifted[0, 3] = 0.25
+        >>> tr.metrics.rte(torch.eye(4, dtype=torch.float64), shifted)
+        tensor(0.2500, dtype=torch.float64)
+    """
     _check(T_true, T_estimated)
     difference: Tensor = T_true[..., :3, 3] - T_estimated[..., :3, 3]
     length: Tensor = torch.linalg.vector_norm(difference, dim=-1)
@@ -94,6 +114,14 @@ def rmse(T_true: Tensor, T_estimated: Tensor, points: Tensor) -> Tensor:
 
     Returns:
         (...,). Gradients flow.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> shifted = T.clone()
+        >>> shifted[0, 3] = 0.25
+        >>> tr.metrics.rmse(T, shifted, torch.rand(50, 3, dtype=torch.float64))
+        tensor(0.2500, dtype=torch.float64)
     """
     _check(T_true, T_estimated)
     expect_shape(points, "points", ("P", 3))
@@ -113,6 +141,12 @@ def recalled_by_error(
 
     The bounds are those of Choy, Dong and Koltun, Deep Global Registration, CVPR 2020,
     doi:10.1109/CVPR42600.2020.00259, for 3DMatch: 15 degrees and 0.3 m.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> T = torch.eye(4, dtype=torch.float64).expand(2, 4, 4)
+        >>> tr.metrics.recalled_by_error(T, T, rotation=15.0, translation=0.3)
+        tensor([True, True])
     """
     positive(rotation, "rotation")
     positive(translation, "translation")
@@ -125,6 +159,11 @@ def recalled_by_rmse(errors: Tensor, *, bound: float = 0.2) -> Tensor:
 
     Choi, Zhou and Koltun, Robust Reconstruction of Indoor Scenes, CVPR 2015, doi:10.1109/CVPR.2015.7299195:
     0.2 m; the errors are ``rmse`` over the points that overlap under the truth.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.metrics.recalled_by_rmse(torch.tensor([0.05, 0.4]))
+        tensor([ True, False])
     """
     positive(bound, "bound")
     return errors < bound
@@ -132,7 +171,13 @@ def recalled_by_rmse(errors: Tensor, *, bound: float = 0.2) -> Tensor:
 
 @entry
 def registration_recall(recalled: Tensor) -> Tensor:
-    """Share of pairs (B,) bool that are recalled, a scalar; at least one pair is needed."""
+    """Share of pairs (B,) bool that are recalled, a scalar; at least one pair is needed.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.metrics.registration_recall(torch.tensor([True, True, False, True]))
+        tensor(0.7500, dtype=torch.float64)
+    """
     expect(recalled.numel() > 0, "recalled", "at least one pair", recalled)
     return recalled.double().mean()
 

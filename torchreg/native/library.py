@@ -59,7 +59,13 @@ def native_kernels(enabled: bool = True) -> Iterator[None]:
 
 
 def native_library() -> str:
-    """The file of the library in use, or an empty text where there is none."""
+    """The file of the library in use, or an empty text where there is none.
+
+    Example:
+        >>> import torchreg as tr
+        >>> isinstance(tr.native_library(), str)
+        True
+    """
     found = _library()
     return "" if found is None else Path(found._name).name
 

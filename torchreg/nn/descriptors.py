@@ -32,6 +32,13 @@ class FPFH(nn.Module):
 
     Raises:
         ValueError: an unknown name, a bandwidth out of its range, or edges to learn with hard binning.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> tr.nn.FPFH()(tr.estimate_normals(cloud, near), near).values.shape
+        torch.Size([50, 33])
     """
 
     @checked
@@ -86,6 +93,13 @@ class PCFH(nn.Module):
 
     Raises:
         ValueError: an unknown name, a number out of its range, or edges to learn with hard binning.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3), colors=torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> tr.nn.PCFH()(cloud, near).values.shape
+        torch.Size([50, 11])
     """
 
     @checked
@@ -171,6 +185,11 @@ class BinEdges(nn.Module):
 
     Raises:
         ValueError: ``rows`` or ``bins`` below 1.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.nn.BinEdges(rows=3, bins=11)().shape
+        torch.Size([3, 12])
     """
 
     @checked

@@ -21,6 +21,12 @@ class PairValues(NamedTuple):
     Attributes:
         source: (P, 3).
         target: (Q, 3).
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> values = tr.nn.PairValues(source=torch.rand(50, 3), target=torch.rand(60, 3))
+        >>> values.target.shape
+        torch.Size([60, 3])
     """
 
     source: Tensor
@@ -37,6 +43,12 @@ class Equalize(nn.Module):
 
     Raises:
         ValueError: a bandwidth out of its range.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3), colors=torch.rand(50, 3))
+        >>> tr.nn.Equalize()(cloud).shape
+        torch.Size([50, 3])
     """
 
     @checked

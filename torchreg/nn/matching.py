@@ -38,6 +38,14 @@ class Fuse(nn.Module):
 
     Raises:
         ValueError: no weights, one that is not above 0, or a root out of its range.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3), colors=torch.rand(50, 3))
+        >>> near = tr.neighbors(cloud, radius=0.5, max_neighbors=20)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.nn.Fuse((1.0, 0.5))(tr.nn.FPFH()(cloud, near), tr.nn.PCFH()(cloud, near)).values.requires_grad
+        True
     """
 
     @checked
@@ -100,6 +108,12 @@ class SoftMatch(nn.Module):
 
     Raises:
         ValueError: an unknown method, a number out of its range, or Sinkhorn without a dustbin.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> rows = tr.Features(torch.eye(3), torch.tensor([0, 3]), (("any", 3),), torch.tensor([True, True, True]))
+        >>> tr.nn.SoftMatch()(rows, rows).confidence[0].shape
+        torch.Size([3, 3])
     """
 
     @checked
@@ -152,6 +166,13 @@ class WeightedKabsch(nn.Module):
 
     Raises:
         ValueError: numbers out of their range, or a scale without rounds.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(3, 3))
+        >>> rows = tr.Features(torch.eye(3), torch.tensor([0, 3]), (("any", 3),), torch.tensor([True, True, True]))
+        >>> tr.nn.WeightedKabsch()(cloud, cloud, tr.soft_match(rows, rows)).shape
+        torch.Size([1, 4, 4])
     """
 
     @checked

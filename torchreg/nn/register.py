@@ -35,6 +35,13 @@ class SoftRegistration(NamedTuple):
         target: likewise.
         source_features: of its points.
         target_features: likewise.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> result = tr.nn.Register(tr.RegistrationOptions(voxel_size=1.5))(pair.source, pair.target)
+        >>> result.T_target_source.shape, result.source_features.blocks[0]
+        (torch.Size([1, 4, 4]), ('fpfh', 33))
     """
 
     T_target_source: Tensor

@@ -39,6 +39,13 @@ def voxel_downsample(cloud: Clouds, voxel_size: float | Tensor) -> Clouds:
 
     Raises:
         ValueError: ``voxel_size`` not above 0, or so small against the extent that voxels cannot be numbered.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.tensor([[0.1, 0.0, 0.0], [0.3, 0.0, 0.0], [0.9, 0.0, 0.0]]))
+        >>> tr.voxel_downsample(cloud, 0.5).points
+        tensor([[0.2000, 0.0000, 0.0000],
+                [0.9000, 0.0000, 0.0000]])
     """
     return counted_voxels(cloud, voxel_size).cloud
 
@@ -92,6 +99,12 @@ def random_downsample(cloud: Clouds, count: int, *, generator: torch.Generator |
 
     Raises:
         ValueError: ``count`` below 1.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(100, 3))
+        >>> len(tr.random_downsample(cloud, 10, generator=torch.Generator().manual_seed(0)).points)
+        10
     """
     at_least(count, "count", 1)
     seed = draw_seed(generator)
@@ -121,6 +134,11 @@ def farthest_point_downsample(cloud: Clouds, count: int) -> Clouds:
 
     Raises:
         ValueError: ``count`` below 1.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> len(tr.farthest_point_downsample(tr.Clouds(torch.rand(100, 3)), 10).points)
+        10
     """
     at_least(count, "count", 1)
     kept = []

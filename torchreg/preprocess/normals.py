@@ -48,6 +48,14 @@ def estimate_normals(cloud: Clouds, near: Neighborhoods, *, viewpoint: Tensor | 
 
     Raises:
         ValueError: shapes do not fit.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> points = torch.rand(50, 3) * torch.tensor([1.0, 1.0, 0.0])
+        >>> flat = tr.Clouds(points, viewpoint=torch.tensor([[0.0, 0.0, 2.0]]))
+        >>> near = tr.neighbors(flat, radius=0.5, max_neighbors=20)
+        >>> tr.estimate_normals(flat, near).normals[0].round()
+        tensor([0., 0., 1.])
     """
     expect_rows(near, cloud)
     if viewpoint is not None:

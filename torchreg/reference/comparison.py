@@ -72,6 +72,14 @@ class Comparison:
         torchreg: its run.
         open3d: its run.
         shared_matches: correspondences that both found.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> options = tr.RegistrationOptions(voxel_size=1.5, solver=tr.RansacOptions(hypotheses=1000))
+        >>> comparison = tr.reference.compare(pair.source, pair.target, options)
+        >>> comparison.points[0] < len(pair.source.points)
+        True
     """
 
     options: RegistrationOptions

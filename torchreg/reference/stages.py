@@ -30,7 +30,13 @@ class Evaluation(NamedTuple):
 
 
 def voxel_downsample(cloud: Clouds, voxel_size: float) -> Clouds:
-    """Replace the points in every cube of a grid by their mean; one cloud, rows in the order Open3D gives them."""
+    """Replace the points in every cube of a grid by their mean; one cloud, rows in the order Open3D gives them.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> len(tr.reference.open3d.voxel_downsample(tr.Clouds(torch.rand(100, 3)), 2.0).points)
+        1
+    """
     thinned = point_cloud(cloud).voxel_down_sample(positive(voxel_size, "voxel_size"))
 
     def taken(name: str) -> Tensor | None:
@@ -46,7 +52,14 @@ def voxel_downsample(cloud: Clouds, voxel_size: float) -> Clouds:
 
 
 def estimate_normals(cloud: Clouds, radius: float, max_neighbors: int) -> Clouds:
-    """Clouds with normals that face the viewpoint, known or assumed, or their own mean point where there is none."""
+    """Clouds with normals that face the viewpoint, known or assumed, or their own mean point where there is none.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> tr.reference.open3d.estimate_normals(cloud, radius=0.5, max_neighbors=20).normals.shape
+        torch.Size([50, 3])
+    """
 
     def of_one(single: Clouds) -> Tensor:
         pcd = point_cloud(replace(single, normals=None))
@@ -99,6 +112,11 @@ def neighborhoods(cloud: Clouds, radius: float, max_neighbors: int) -> Neighborh
 
     Returns:
         Neighborhoods of a batch of one, float64 on the CPU.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> tr.reference.open3d.neighborhoods(tr.Clouds(torch.rand(50, 3)), radius=0.5, max_neighbors=20).index.shape
+        torch.Size([50, 20])
     """
     expect_in_words(len(cloud) == 1, "cloud", "a batch of one", f"{len(cloud)} clouds")
     count = len(cloud.points)
@@ -125,6 +143,12 @@ def evaluate(source: Clouds, target: Clouds, T_target_source: Tensor, threshold:
     Raises:
         ValueError: shapes do not fit, or a threshold that is not above 0.
         ImportError: Open3D is not there.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(50, 3))
+        >>> tr.reference.open3d.evaluate(cloud, cloud, torch.eye(4, dtype=torch.float64)[None], threshold=0.1).fitness
+        tensor([1.], dtype=torch.float64)
     """
     positive(threshold, "threshold")
     source, target = source.to("cpu"), target.to("cpu")

@@ -81,6 +81,11 @@ class IcpOptions:
 
     Raises:
         ValueError: a number out of its range or an unknown name.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.IcpOptions(kind="point_to_plane", max_distance=0.1).iterations
+        30
     """
 
     max_distance: float = 0.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from torchreg.types.packing import kept_rows
 
 _LEAST_POINTS = 4
 _FEW_POINTS = 100
+_MANY_POINTS = 200_000
 _FARTHEST = 1e15  # meters: squares stay finite in float32
 _MOST_VOXELS = 1e6  # a side: what voxels can be numbered by
 
@@ -144,6 +146,18 @@ def keypoints_notes(counts: tuple[int, int], points: tuple[int, int], options: R
     each = zip(counts, points, ("source", "target"), strict=True)
     shares = " and ".join(f"{count:,} of {total:,} points of the {side}" for count, total, side in each)
     return (f"keypoints ({options.keypoints.name}) alone are matched: {shares}",)
+
+
+def warn_of_many_points(points: int, options: RegistrationOptions) -> None:
+    """Warn, once in a process, where options such as ``PAPER`` describe and match hundreds of thousands of points."""
+    if options.voxel_size is None and points >= _MANY_POINTS:
+        warnings.warn(
+            "options without a voxel_size, such as PAPER and LEARNED, describe and match all points; with hundreds of "
+            "thousands of them this takes minutes to hours: set voxel_size, or thin the clouds before by "
+            "voxel_downsample or random_downsample",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 def _facts(cloud: Clouds) -> CloudFacts:

@@ -24,6 +24,12 @@ class KeypointFeatures(NamedTuple):
     Attributes:
         rows: (K,) int64, which points, as rows of the packed batch, each at most once, in any order.
         values: (K, D) floating point.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> keypoints = tr.KeypointFeatures(rows=torch.tensor([0, 4, 7]), values=torch.rand(3, 32))
+        >>> keypoints.values.shape
+        torch.Size([3, 32])
     """
 
     rows: Tensor

@@ -20,7 +20,7 @@ from torchreg.refinement.pairing import numbered
 from torchreg.refinement.surfels import Surfels
 from torchreg.registration.describe import description_of, downsample, expect_alike, hinted, surfels
 from torchreg.registration.described import DescribedClouds, Description
-from torchreg.registration.inspect import facts_of, refusal, set_aside
+from torchreg.registration.inspect import facts_of, refusal, set_aside, warn_of_many_points
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.same_clouds import same_clouds
 from torchreg.registration.spacing import derive_numbered
@@ -106,6 +106,8 @@ class Plan:
         self._thin = [downsample(clouds[job.cloud], [job.description.voxel_size]) for job in self._jobs]
         self._last = {job: b for b, pair in enumerate(self._pairs) for job in pair}
         self._described: dict[int, DescribedClouds] = {}
+        for options, pair in zip(self.options, self._pairs, strict=True):
+            warn_of_many_points(max(len(self._thin[job].points) for job in pair), options)
         sizes = [sum(len(self._thin[job].points) for job in pair) for pair in self._pairs]
         self.slices = partition(
             [pair_bytes(size, self.options[0]) + point_bytes * size for size in sizes], self._budget

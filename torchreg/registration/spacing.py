@@ -58,6 +58,13 @@ def spacing(clouds: Clouds) -> Tensor:
     Returns:
         (B,) float64, meters: the median distance to the fourth nearest other point, of distinct points where most
         coincide; 0 for a cloud of fewer than 5 of them.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> x, y = torch.meshgrid(torch.arange(20.0), torch.arange(20.0), indexing="ij")
+        >>> grid = tr.Clouds(0.1 * torch.stack([x.flatten(), y.flatten(), torch.zeros(400)], dim=1))
+        >>> float(tr.spacing(grid)) < 0.15
+        True
     """
     spacings = []
     for cloud in clouds.unpack():
@@ -93,6 +100,13 @@ def derive_options(source: Clouds, target: Clouds, *, effort: str = "balanced") 
 
     Raises:
         ValueError: different numbers of clouds, or an unknown effort.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> options, = tr.derive_options(pair.source, pair.target)
+        >>> [descriptor.name for descriptor in options.descriptors]
+        ['fpfh', 'contrast', 'pcfh']
     """
     expect(len(source) == len(target), "target", f"{len(source)} clouds, as the source has", len(target))
     return derive_numbered(source, target, same_clouds([source, target]), effort)

@@ -79,6 +79,12 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 13
 
     Raises:
         ValueError: another suffix, or no such folder.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import registration_figure, save_figure
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> save_figure(registration_figure(pair.source, pair.target, pair.T_target_source), "ab.png")
     """
     suffix = Path(path).suffix.lower()
     expect(suffix in FIGURE_SUFFIXES, "path", "a name that ends in " + ", ".join(FIGURE_SUFFIXES), os.fspath(path))

@@ -26,6 +26,15 @@ class DemoRow:
         success: its own verdict.
         right: whether it succeeded, and its transform is the true one.
         T_target_source: (4, 4), its transform.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.report import DemoRow
+        >>> errors = tr.metrics.PoseErrors(rre_degrees=0.1, rte_meters=0.02, rmse_meters=0.03)
+        >>> figures = {"points": (900, 1000), "inlier_ratio": 0.2, "seconds": 0.5, "success": True, "right": True}
+        >>> row = DemoRow(method="FPFH", errors=errors, T_target_source=torch.eye(4, dtype=torch.float64), **figures)
+        >>> row.right
+        True
     """
 
     method: str
@@ -39,7 +48,17 @@ class DemoRow:
 
 
 def demo_table(rows: Sequence[DemoRow]) -> Table:
-    """A line for every method."""
+    """A line for every method.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.report import DemoRow, demo_table
+        >>> errors = tr.metrics.PoseErrors(rre_degrees=0.1, rte_meters=0.02, rmse_meters=0.03)
+        >>> figures = {"points": (900, 1000), "inlier_ratio": 0.2, "seconds": 0.5, "success": True, "right": True}
+        >>> row = DemoRow(method="FPFH", errors=errors, T_target_source=torch.eye(4, dtype=torch.float64), **figures)
+        >>> demo_table([row]).row_count
+        1
+    """
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("method", no_wrap=True)
     for name in ("points", "right\nmatches", "RRE\n(deg)", "RTE\n(m)", "RMSE\n(m)", "time\n(s)"):
@@ -60,7 +79,17 @@ def demo_table(rows: Sequence[DemoRow]) -> Table:
 
 
 def demo_sentence(plain: DemoRow, fused: DemoRow) -> str:
-    """One sentence that compares the plain procedure without color and the default on one hall."""
+    """One sentence that compares the plain procedure without color and the default on one hall.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.report import DemoRow, demo_sentence
+        >>> errors = tr.metrics.PoseErrors(rre_degrees=0.1, rte_meters=0.02, rmse_meters=0.03)
+        >>> figures = {"points": (900, 1000), "inlier_ratio": 0.2, "seconds": 0.5, "success": True, "right": True}
+        >>> row = DemoRow(method="FPFH", errors=errors, T_target_source=torch.eye(4, dtype=torch.float64), **figures)
+        >>> isinstance(demo_sentence(row, row), str)
+        True
+    """
     matches = f"{100 * fused.inlier_ratio:.1f} % of the matches are right instead of {100 * plain.inlier_ratio:.1f} %"
     if fused.right and plain.right:
         return f"The walls of both scans lie on each other by default and without color; with color {matches}."

@@ -106,6 +106,12 @@ def demo_figure(
 
     Raises:
         ValueError: as there, or no transform.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import demo_figure
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> figure = demo_figure(pair.source, pair.target, [("the truth", pair.T_target_source)])
     """
     expect(len(transforms) > 0, "transforms", "at least one method", transforms)
     scene = scene_of(source, target, _RESERVE * at_least(max_points, "max_points", 1))

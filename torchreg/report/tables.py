@@ -45,6 +45,14 @@ def registration_table(
         target: likewise.
         truth: errors of the pose, trusted or not, under the true transform, where that is known.
         file_notes: what reading the clouds showed.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import registration_table
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> result = tr.register(pair.source, pair.target, effort="plain")
+        >>> registration_table(result, source="a.ply", target="b.ply").row_count > 5
+        True
     """
     facts = facts_of(result, pair)
     table = _table((("source", source), ("target", target)))
@@ -82,6 +90,14 @@ def verification_table(
         target: likewise.
         given: text that names the transform, such as its file.
         file_notes: what reading the clouds showed.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import verification_table
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> verification = tr.verify(pair.source, pair.target, pair.T_target_source)
+        >>> verification_table(verification, source="a.ply", target="b.ply", given="T.txt").row_count > 5
+        True
     """
     facts = facts_of(result.search, pair)
     table = _table((("source", source), ("target", target), ("transform", given)))
@@ -108,6 +124,14 @@ def cloud_table(file: CloudFile, spacing: float, options: RegistrationOptions | 
         spacing: meters between neighboring points.
         options: derived for a pair of such clouds; ``None`` where nothing can be derived.
         defect: why the cloud cannot be registered, or an empty text.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.report import cloud_table
+        >>> tr.write_cloud("a.ply", tr.Clouds(torch.rand(100, 3)))
+        >>> file = tr.io.read_cloud_report("a.ply")
+        >>> type(cloud_table(file, float(tr.spacing(file.cloud)), None, "")).__name__
+        'Table'
     """
     dropped = f" ({file.dropped_non_finite:,} with NaN or infinity dropped)" if file.dropped_non_finite else ""
     table = _table(
@@ -136,7 +160,14 @@ def cloud_table(file: CloudFile, spacing: float, options: RegistrationOptions | 
 
 
 def summary_table(summary: Summary) -> Table:
-    """Counts, errors and times of a batch, and the pairs to inspect first."""
+    """Counts, errors and times of a batch, and the pairs to inspect first.
+
+    Example:
+        >>> from torchreg.batch.summary import summarize
+        >>> from torchreg.report import summary_table
+        >>> type(summary_table(summarize([], [], {}))).__name__
+        'Table'
+    """
     table = _table(_summary_rows(summary))
     for place, (name, trouble) in enumerate(summary.worst):
         table.add_row("worst pairs" if place == 0 else "", plain(f"{name}: {trouble}"))
@@ -148,6 +179,12 @@ def matrix_text(T: Tensor) -> str:
 
     The translation is given to the micrometer, the rotation with so many digits that points thousands of kilometers
     from the zero, as on a map, stay within 0.1 mm.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.report import matrix_text
+        >>> len(matrix_text(torch.eye(4, dtype=torch.float64)).splitlines())
+        4
     """
     cells = [[*(f"{value:.11f}" for value in row[:3]), f"{row[3]:.6f}"] for row in T.tolist()]
     widths = [max(len(row[column]) for row in cells) for column in range(4)]

@@ -22,6 +22,11 @@ def loose_covariance(shift: float, reach: float) -> Tensor:
 
     For poses whose own was not measured, such as those of candidates that were not refined: turns about each axis have
     the deviation ``shift / reach`` radians, shifts along each have ``shift`` meters.
+
+    Example:
+        >>> from torchreg.site import loose_covariance
+        >>> loose_covariance(shift=0.1, reach=10.0).shape
+        torch.Size([6, 6])
     """
     turn = positive(shift, "shift") / positive(reach, "reach")
     return torch.tensor([turn**2] * 3 + [shift**2] * 3, dtype=torch.float64).diag()
@@ -54,6 +59,15 @@ class Link(Record):
 
     Raises:
         ValueError: a scan linked to itself, a transform that is not rigid, or a covariance that is none.
+
+    Example:
+        >>> import torch
+        >>> from torchreg.site import Link, loose_covariance
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> sure = {"log_odds": 4.0, "probability": 0.98, "covariance": loose_covariance(0.01, 10.0)}
+        >>> link = Link(target=0, source=1, T_target_source=T, **sure)
+        >>> link.source, link.target
+        (1, 0)
     """
 
     target: int
@@ -114,6 +128,13 @@ class KnownPose:
 
     Raises:
         ValueError: as ``Link``.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.site import KnownPose, loose_covariance
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> KnownPose(scan=0, T_world_scan=T, covariance=loose_covariance(0.01, 10.0)).scan
+        0
     """
 
     scan: int

@@ -34,6 +34,11 @@ class SiteProgress(NamedTuple):
         done: of its items.
         total: items of the stage: files, descriptions, pairs, scans. More pairs may be chosen on the way.
         failed: of those done, how many pairs were refused.
+
+    Example:
+        >>> from torchreg.site import SiteProgress
+        >>> SiteProgress("pairs", done=3, total=10).failed
+        0
     """
 
     stage: str

@@ -54,6 +54,14 @@ class Placement:
         loop_degrees: (L,) float64, likewise.
         scale: the factor, 1 or more, by which the squared errors of links exceed what their covariances promise; the
             covariances of the poses hold it already.
+
+    Example:
+        >>> import torch
+        >>> from torchreg.site import Link, loose_covariance, place
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> sure = {"log_odds": 4.0, "probability": 0.98, "covariance": loose_covariance(0.01, 10.0)}
+        >>> place([Link(target=0, source=1, T_target_source=T, **sure)], 2).group
+        tensor([0, 0])
     """
 
     T_world_scan: Tensor
@@ -114,7 +122,7 @@ def place(
     Example:
         >>> T = torch.eye(4, dtype=torch.float64)
         >>> link = Link(target=0, source=1, T_target_source=T, log_odds=3.0, probability=0.9,
-        ...             covariance=loose_covariance(0.01, 5.0))
+        ...             covariance=tr.site.loose_covariance(0.01, 5.0))
         >>> place([link], 3).group
         tensor([ 0,  0, -1])
     """

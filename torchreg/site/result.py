@@ -31,6 +31,15 @@ class SiteLink(NamedTuple):
         loops: how many loops of three used links, this one among them, close.
         loop_meters: by how much these loops miss closing, their median.
         loop_degrees: likewise.
+
+    Example:
+        >>> import torch
+        >>> from torchreg.site import Link, SiteLink, loose_covariance
+        >>> T = torch.eye(4, dtype=torch.float64)
+        >>> sure = {"log_odds": 4.0, "probability": 0.98, "covariance": loose_covariance(0.01, 10.0)}
+        >>> link = Link(target=0, source=1, T_target_source=T, **sure)
+        >>> SiteLink(link, True, 1.0, 0.002, 0.01, loops=3, loop_meters=0.004, loop_degrees=0.02).link.source
+        1
     """
 
     link: Link
@@ -53,6 +62,11 @@ class TriedPair(NamedTuple):
         success: whether the pair alone is held to be registered.
         reason: why not; empty where it is.
         candidates: poses that were weighed for it.
+
+    Example:
+        >>> from torchreg.site import TriedPair
+        >>> TriedPair(source=1, target=0, success=False, reason="too few matches", candidates=2).reason
+        'too few matches'
     """
 
     source: int
@@ -87,6 +101,13 @@ class SiteResult(Record):
         control: the control points, in the order in which they were given, beside where the poses put them.
         remarks: on groups that have no frame of the world although one was wanted, in words.
         seconds: time of every stage, by name, in order.
+
+    Example:
+        >>> import torchreg as tr
+        >>> scans = tr.datasets.building(seed=1, scans=5, angular_step=3.0).scans
+        >>> site = tr.register_site(list(scans[:2]))
+        >>> site.T_world_scan.shape, len(site.pairs)
+        (torch.Size([2, 4, 4]), 1)
     """
 
     T_world_scan: Tensor = held(PerItem())

@@ -24,6 +24,11 @@ class Tolerance:
     Attributes:
         meters: between places.
         degrees: between directions.
+
+    Example:
+        >>> from torchreg.site import Tolerance
+        >>> Tolerance(meters=0.1, degrees=2.0)
+        Tolerance(meters=0.1, degrees=2.0)
     """
 
     meters: float = 0.3

@@ -30,6 +30,14 @@ def poses_of_pairs(
     """The poses of every pair, by its solver; arguments and errors as of ``solve``.
 
     A pair that cannot be solved has no pose and says why.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.solvers import poses_of_pairs
+        >>> problem = tr.synthetic.match_problem(500, 0.8)
+        >>> poses, = poses_of_pairs(problem.source, problem.target, problem.matches, [tr.CompatibilityOptions()])
+        >>> len(poses.rotation) == len(poses.translation)
+        True
     """
     pairs = len(matches)
     expect(len(source) == pairs and len(target) == pairs, "matches", f"{len(source)} pairs", pairs)

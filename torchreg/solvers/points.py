@@ -26,6 +26,13 @@ class MatchedPoints(NamedTuple):
         target: (3, M) float64, likewise.
         score: (M,) as ``Correspondences.score``: the smaller, the better.
         seed: of this pair, made from the call's seed and the correspondences.
+
+    Example:
+        >>> import torch
+        >>> from torchreg.solvers import MatchedPoints
+        >>> points = torch.rand(3, 20, dtype=torch.float64)  # axes first
+        >>> MatchedPoints(source=points, target=points, score=torch.zeros(20), seed=0).source.shape
+        torch.Size([3, 20])
     """
 
     source: Tensor
@@ -115,7 +122,13 @@ def ranks(pair: Tensor) -> Tensor:
 
 
 def base_seed(generator: torch.Generator | None) -> int:
-    """One number from a generator, advancing it; 0 for ``None``. The global generator is left alone."""
+    """One number from a generator, advancing it; 0 for ``None``. The global generator is left alone.
+
+    Example:
+        >>> from torchreg.solvers import base_seed
+        >>> base_seed(None)
+        0
+    """
     if generator is None:
         return 0
     drawn = torch.randint(2**62, (1,), generator=generator, device=generator.device)

@@ -61,6 +61,14 @@ class PairPoses(NamedTuple):
         kept: those that passed the first test.
         scored: poses scored on all correspondences.
         failure: why there is no pose, else ``None``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.solvers import poses_of_pairs
+        >>> problem = tr.synthetic.match_problem(500, 0.8)
+        >>> poses, = poses_of_pairs(problem.source, problem.target, problem.matches, [tr.CompatibilityOptions()])
+        >>> poses.failure is None
+        True
     """
 
     rotation: Tensor

@@ -39,6 +39,13 @@ def solve(
 
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.solvers import solve
+        >>> problem = tr.synthetic.match_problem(500, 0.8)
+        >>> solve(problem.source, problem.target, problem.matches, tr.CompatibilityOptions()).success
+        tensor([True])
     """
     pairs = len(matches)
     solvers = list(solver) if isinstance(solver, Sequence) else [solver] * pairs
@@ -55,7 +62,17 @@ def result_of_poses(
     poses: Sequence[PairPoses],
     solvers: Sequence[Solver],
 ) -> RegistrationResult:
-    """The result of the first pose of every pair, judged against chance; ``solvers`` gave the poses."""
+    """The result of the first pose of every pair, judged against chance; ``solvers`` gave the poses.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.solvers import poses_of_pairs, result_of_poses
+        >>> problem = tr.synthetic.match_problem(500, 0.8)
+        >>> solvers = [tr.CompatibilityOptions()]
+        >>> poses = poses_of_pairs(problem.source, problem.target, problem.matches, solvers)
+        >>> result_of_poses(problem.source, problem.target, problem.matches, poses, solvers).success
+        tensor([True])
+    """
     outcomes = [_outcome(source, target, matches, b, poses[b], solvers[b]) for b in range(len(matches))]
     device = source.device
     none = torch.zeros(0, dtype=torch.float64, device=device)
@@ -74,7 +91,16 @@ def result_of_poses(
 
 
 def hypothesis_counts(poses: Sequence[PairPoses], device: torch.device) -> HypothesisCounts:
-    """The counts of every pair, as tensors."""
+    """The counts of every pair, as tensors.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.solvers import hypothesis_counts, poses_of_pairs
+        >>> problem = tr.synthetic.match_problem(500, 0.8)
+        >>> poses = poses_of_pairs(problem.source, problem.target, problem.matches, [tr.RansacOptions()])
+        >>> hypothesis_counts(poses, torch.device("cpu")).drawn.shape
+        torch.Size([1])
+    """
     counts = [[getattr(pair, name) for pair in poses] for name in HypothesisCounts._fields]
     return HypothesisCounts(*torch.tensor(counts, dtype=torch.int64, device=device))
 

@@ -34,6 +34,14 @@ class Hypotheses:
         total: of those, how many were added, and so scored on all correspondences.
         stored: how many are kept in memory; of very many, those with the lowest counts are dropped.
         explanation: why none was added, in words that follow "no hypothesis left: ".
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> from torchreg.solvers import Hypotheses, MatchedPoints
+        >>> points = torch.rand(3, 20, dtype=torch.float64)  # axes first
+        >>> hypotheses = Hypotheses(MatchedPoints(points, points, torch.zeros(20), seed=0), threshold=0.1)
+        >>> hypotheses.add(torch.eye(3, dtype=torch.float64)[:, :, None], torch.zeros(3, 1, dtype=torch.float64))
+        tensor([20.])
     """
 
     def __init__(self, points: MatchedPoints, threshold: float) -> None:

@@ -31,6 +31,12 @@ class MatchProblem:
         matches: M correspondences; ``score`` is smaller for right ones on average, with much overlap.
         T_target_source: (1, 4, 4) float64, meters.
         is_inlier: (M,) bool, which matches are right.
+
+    Example:
+        >>> import torchreg as tr
+        >>> problem = tr.synthetic.match_problem(100, 0.75)
+        >>> int(problem.is_inlier.sum()), problem.T_target_source.shape
+        (25, torch.Size([1, 4, 4]))
     """
 
     source: Clouds

@@ -32,6 +32,13 @@ class Candidate(NamedTuple):
         color_features: agreement of the descriptors of color of partners, likewise.
         log_odds: of being right against no candidate being right (natural logarithm).
         probability: of being right, among all candidates of the pair.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> best = tr.register(pair.source, pair.target, effort="fast").candidates[0][0]
+        >>> best.T_target_source.shape, 0.0 <= best.probability <= 1.0
+        (torch.Size([4, 4]), True)
     """
 
     origin: str
@@ -64,6 +71,13 @@ class Proposal(NamedTuple):
         scored: how many were scored on all matches.
         poses: distinct poses handed on.
         support: inliers of the best of them.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> proposals = tr.register(pair.source, pair.target, effort="fast").stages[0].proposals
+        >>> proposals[0].matches > 0
+        True
     """
 
     origin: str
@@ -84,6 +98,13 @@ class StageCounts(NamedTuple):
         points: points after downsampling.
         described: points with a valid feature, of the first set of features.
         proposals: of every set of features and solver.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> counts = tr.register(pair.source, pair.target, effort="fast").stages[0]
+        >>> counts.given == (len(pair.source.points), len(pair.target.points))
+        True
     """
 
     given: tuple[int, int]

@@ -41,6 +41,12 @@ class Clouds(PackedBatch):
 
     Raises:
         ValueError: a tensor has another shape, dtype or device than stated here.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> clouds = tr.Clouds.pack([tr.Clouds(torch.rand(5, 3)), tr.Clouds(torch.rand(2, 3))])
+        >>> len(clouds), clouds.lengths, clouds[1].points.shape
+        (2, [5, 2], torch.Size([2, 3]))
     """
 
     noun: ClassVar[str] = "clouds"

@@ -30,6 +30,13 @@ class Correspondences(PackedBatch):
         target: (M,) int64, global rows of the target batch.
         offsets: (B+1,) int64, on the CPU; pair ``b`` holds the matches ``offsets[b]:offsets[b+1]``.
         score: (M,) floating point; the matcher's distance in feature space: the smaller, the better.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> rows = torch.tensor([0, 1, 2])
+        >>> matches = tr.Correspondences(rows, rows.flip(0), offsets=torch.tensor([0, 3]), score=torch.zeros(3))
+        >>> len(matches)
+        1
     """
 
     source: Tensor = held(PerRow())
@@ -102,6 +109,12 @@ class SoftCorrespondences(PackedBatch):
             Sinkhorn has not converged). Zero where a point has no valid descriptor.
         source_offsets: (B+1,) int64, on the CPU, of the packed source clouds; N_b = their differences.
         target_offsets: (B+1,) int64, likewise of the target clouds.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> rows = tr.Features(torch.eye(3), torch.tensor([0, 3]), (("any", 3),), torch.tensor([True, True, True]))
+        >>> tr.soft_match(rows, rows).confidence[0].shape
+        torch.Size([3, 3])
     """
 
     confidence: tuple[Tensor, ...] = held(Listed(casts=True))

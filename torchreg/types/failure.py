@@ -50,6 +50,13 @@ class Failure:
 
     Raises:
         ValueError: an unknown kind.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> result = tr.register(tr.random_downsample(pair.source, 3), pair.target)
+        >>> result.failure[0].kind
+        'too few points'
     """
 
     kind: str

@@ -27,6 +27,12 @@ class Features(PackedBatch):
         offsets: (B+1,) int64, on the CPU, as in ``Clouds``.
         blocks: names and widths of the parts of a row, in order, such as (("fpfh", 33), ("pcfh", 11)).
         valid: (P,) bool; a false row describes nothing and is never matched.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> rows = tr.Features(torch.eye(3), torch.tensor([0, 3]), (("any", 3),), torch.tensor([True, True, False]))
+        >>> rows.values.shape, rows.blocks
+        (torch.Size([3, 3]), (('any', 3),))
     """
 
     noun: ClassVar[str] = "clouds"

@@ -30,6 +30,12 @@ class Neighborhoods(Record):
         sq_distance: (P, K) squared meters, finite also where ``valid`` is false; consumers mask such slots.
         radius: meters, the support radius: every neighbor is nearer. A number, or one per point (P,) where they
             differ; ``None`` where it is not known.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> near = tr.neighbors(tr.Clouds(torch.rand(50, 3)), radius=0.5, max_neighbors=20)
+        >>> near.index.shape, near.restrict(0.2, 5).index.shape
+        (torch.Size([50, 20]), torch.Size([50, 5]))
     """
 
     index: Tensor = held(PerRow())

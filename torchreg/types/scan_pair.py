@@ -34,6 +34,12 @@ class ScanPair(Record):
 
     Raises:
         ValueError: a batch of several clouds, or a matrix of another shape or dtype.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> type(pair).__name__, pair.name, pair.T_target_source.shape
+        ('ScanPair', 'mall-1', torch.Size([4, 4]))
     """
 
     source: Clouds = held(PerItem())
@@ -76,6 +82,12 @@ class ScanPairBatch(PackedBatch):
 
     Raises:
         ValueError: the numbers of sources, targets, matrices and names differ, or a matrix has another dtype.
+
+    Example:
+        >>> import torchreg as tr
+        >>> batch = tr.datasets.pack_pairs([tr.datasets.mall(seed=s, angular_step=4.0) for s in (1, 2)])
+        >>> batch.names, len(batch.source)
+        (('mall-1', 'mall-2'), 2)
     """
 
     source: Clouds = held(PerItem())

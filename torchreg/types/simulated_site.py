@@ -28,6 +28,12 @@ class SimulatedSite(Record):
 
     Raises:
         ValueError: a scan that is not one cloud, or numbers of scans, poses, floors and names that differ.
+
+    Example:
+        >>> import torchreg as tr
+        >>> site = tr.datasets.building(seed=1, scans=5, angular_step=4.0)
+        >>> len(site.scans), site.T_world_scan.shape
+        (5, torch.Size([5, 4, 4]))
     """
 
     scans: tuple[Clouds, ...] = held(Held(casts=True))

@@ -55,6 +55,13 @@ class Verification(PackedBatch):
         rival: of every pair the best pose that is not about the settled one, ``None`` where no other was weighed.
         search: what ``register`` finds with the given transform among its candidates: it has the clouds that were
             compared, thinned, with options, notes, times, candidates and counts.
+
+    Example:
+        >>> import torchreg as tr
+        >>> pair = tr.datasets.mall(seed=1, angular_step=3.0)
+        >>> verification = tr.verify(pair.source, pair.target, pair.T_target_source)
+        >>> verification.success, verification.deviation_meters.shape
+        (tensor([False]), torch.Size([1]))
     """
 
     T_target_source: Tensor = held(numbers(4, 4))

@@ -17,7 +17,7 @@ import torch
 
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Cell, Picture, Study
-from torchreg.benchmark.core.tables import markdown_table
+from torchreg.benchmark.core.tables import markdown_table, shown_parts
 from torchreg.benchmark.core.timing import interleaved, spread
 from torchreg.benchmark.speed.batches import small_pairs
 from torchreg.benchmark.speed.device_peers import PEERS
@@ -100,7 +100,7 @@ def device_study(points: Sequence[int], run: DeviceRun) -> Study:
         settings={"repeats": run.repeats, "quick": run.quick, "device": device_name(run.device)},
         versions=("torchreg", "torch", "processor", "threads"),
         document=lambda rows, pictures, machine: _document(rows, pictures, f"{device_name(run.device)}; {machine}"),
-        shown=lambda rows: [markdown(rows)],
+        shown=lambda rows: shown_parts(markdown(rows)),
         device=str(run.device),
     )
 

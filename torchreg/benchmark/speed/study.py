@@ -11,6 +11,7 @@ import torch
 from torchreg.benchmark.core.memory import CAN_MEASURE, peak_bytes
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Cell, Picture, Study
+from torchreg.benchmark.core.tables import shown_parts
 from torchreg.benchmark.core.timing import interleaved
 from torchreg.benchmark.speed import batches, busy, large
 from torchreg.benchmark.speed.document import draw, markdown
@@ -66,7 +67,7 @@ def speed_study(
         versions=("torchreg", "torch", "open3d", "processor", "threads"),
         document=_document,
         draw=draw,
-        shown=lambda rows: [markdown(rows)],
+        shown=lambda rows: shown_parts(markdown(rows)),
         remarks=() if data is not None else ("quiet against busy is measured with --data alone",),
     )
 

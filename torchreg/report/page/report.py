@@ -110,6 +110,14 @@ def report_html(
 
     Raises:
         ValueError: as ``write_report``, but for the path.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import report_html
+        >>> pair = tr.datasets.mall(seed=1, angular_step=4.0)
+        >>> result = tr.register(pair.source, pair.target, effort="plain")
+        >>> "<title>" in report_html(result, pair.source, pair.target, names=("a.ply", "b.ply"))
+        True
     """
     at_least(max_points, "max_points", 1)
     for name, clouds in (("source", source), ("target", target)):

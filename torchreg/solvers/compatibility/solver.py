@@ -39,6 +39,11 @@ class CompatibilityOptions(Solver):
         partners: in the first set of a seed, those that share the most partners with it.
         members: of its final set, the seed counted.
         local_optimization, scoring: as every ``Solver``'s.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.CompatibilityOptions(inlier_threshold=0.05).partners
+        30
     """
 
     name: ClassVar[str] = "compatibility"
@@ -98,6 +103,13 @@ def compatibility(
 
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
+
+    Example:
+        >>> import torchreg as tr
+        >>> problem = tr.synthetic.match_problem(500, 0.8)
+        >>> result = tr.compatibility(problem.source, problem.target, problem.matches)
+        >>> float(tr.metrics.rte(problem.T_target_source, result.T_target_source)) < 0.05
+        True
     """
     return solve(source, target, matches, CompatibilityOptions() if options is None else options)
 

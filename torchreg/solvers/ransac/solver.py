@@ -35,6 +35,11 @@ class RansacOptions(Solver):
             this fraction of its length in the other.
         sample_size: correspondences in a minimal sample, at least 3.
         inlier_threshold, local_optimization, scoring: as every ``Solver``'s.
+
+    Example:
+        >>> import torchreg as tr
+        >>> tr.RansacOptions(inlier_threshold=0.05, hypotheses=50_000).confidence
+        0.999
     """
 
     name: ClassVar[str] = "ransac"
@@ -121,6 +126,13 @@ def ransac(
 
     Raises:
         ValueError: the numbers of pairs differ, or a correspondence names a row outside its pair's clouds.
+
+    Example:
+        >>> import torch, torchreg as tr
+        >>> made = tr.synthetic.match_problem(500, 0.8)
+        >>> result = tr.ransac(made.source, made.target, made.matches, generator=torch.Generator().manual_seed(0))
+        >>> float(tr.metrics.rte(made.T_target_source, result.T_target_source)) < 0.05
+        True
     """
     return solve(source, target, matches, RansacOptions() if options is None else options, base_seed(generator))
 
