@@ -68,7 +68,7 @@ def _clouds(folder: Path, rows: Sequence[Row], place: Place, experiment: int, si
     name = f"figure{number}_{place.group.name.replace(' ', '_')}.png"
     title = (
         f"As in the paper's Figure {number}: {place.name}, {place.group.title}; left as given, then under the pose of "
-        "each method, seen along z of the source, rooms cut open halfway; meters"
+        f"each method ({OURS.name}, the first run), seen along z of the source, rooms cut open halfway; meters"
     )
     save_figure(clouds_figure(settings, title), folder / name)
     return Picture(experiment, name, f"{place.name}: the initial pose, and the pose that each method returned.")
