@@ -20,7 +20,7 @@ from torchreg.benchmark.paper.methods import METHODS, options_of
 from torchreg.benchmark.paper.places import Place
 from torchreg.benchmark.paper.settings import RUNS, PaperSetting, RunSize
 from torchreg.benchmark.paper.sides import Side, described, matched
-from torchreg.benchmark.paper.ways import Way
+from torchreg.benchmark.paper.ways import MAIN_WAYS, Way
 from torchreg.geometry.se3 import apply_rotation, rigid, transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample
@@ -51,7 +51,7 @@ def error_cells(
 ) -> list[Cell]:
     """Every setting on every place of its kind, indoor or outdoor, in the place's ways by every method.
 
-    Places come one after another, all settings of each.
+    Places come one after another, all settings of each; what goes beyond the paper comes after everything else.
     """
     clouds_of = lru_cache(maxsize=1)(Place.clouds)
 
@@ -75,16 +75,21 @@ def error_cells(
         matches = matches_of(place, setting, method, way.turned)
         return _errors(pair_of(place, setting), matches, place, setting, way, method, size)
 
+    wanted = [
+        (place, setting, way)
+        for place in places
+        for setting in settings
+        if setting.outdoor == place.group.outdoor
+        for way in place.ways
+    ]
+    wanted.sort(key=lambda each: not (each[0].group.paper and each[2] in MAIN_WAYS))
     return [
         Cell(
             key_of(setting, place, way, method),
             f"{place.name}, experiment {setting.experiment}, {setting.name}, {way.name}, {method}",
             partial(measure, place, setting, way, method),
         )
-        for place in places
-        for setting in settings
-        if setting.outdoor == place.group.outdoor
-        for way in place.ways
+        for place, setting, way in wanted
         for method in METHODS
     ]
 

@@ -72,7 +72,7 @@ def paper_study(
 def chosen_places(
     experiments: Sequence[int], *, seeds: int, seed: int, real: Path | None, quick: bool
 ) -> tuple[Place, ...]:
-    """Every pair of scans that the experiments need, the real ones, which are few, first."""
+    """Every pair of scans that the experiments need, the simulated ones first."""
     size = QUICK if quick else FULL
     simulated = simulated_places(seed, seeds, angular_step=size.angular_step, beyond=size.beyond)
     scanned = () if real is None else real_places(real, seed)
@@ -80,7 +80,7 @@ def chosen_places(
         scanned = tuple({place.group.name: place for place in reversed(scanned)}.values())
     kinds = {setting.outdoor for number in experiments for setting in settings_of(number)}
     kinds |= {False} if 4 in experiments else set()
-    return tuple(place for place in (*scanned, *simulated) if place.group.outdoor in kinds)
+    return tuple(place for place in (*simulated, *scanned) if place.group.outdoor in kinds)
 
 
 def _shown(rows: list[Row]) -> list[Table | str]:
