@@ -129,8 +129,8 @@ def test_tables_say_value_interval_and_verdict():
     assert shown.rows[1][3].startswith("100 %; 0.210 [0.1")
     assert shown.rows[1][5] == "-"
     changed = difference_table([MALL], WAYS, differences_of(rows))
-    assert changed.rows[0] == ["1: pose 1", "mall", OURS.name, "0 undecided", "-10 better", "-", "-"]
-    assert changed.rows[1] == ["", "mall", AS_PAPER.name, "-100 worse", "+500 worse", "-", "-"]
+    assert changed.rows[0] == ["1: pose 1", "12 x mall", OURS.name, "0 undecided", "-10 better", "-", "-"]
+    assert changed.rows[1] == ["", "12 x mall", AS_PAPER.name, "-100 worse", "+500 worse", "-", "-"]
     for table in (shown, changed):
         assert all(len(line) == len(table.head) for line in table.rows)
 

@@ -96,7 +96,7 @@ def test_a_run_of_one_experiment_has_its_table_alone(rows):
         ["2: 12k / 4k", "the paper", "", "8.550", "0.200", "-"],
         ["", "3 x mall", OURS.name, *["33 [0, 100] %; 0.600 [0.300, 0.900]"] * 3],
     ]
-    assert changes.rows == [["2: 12k / 4k", "mall", OURS.name, *["0 undecided"] * 4]]
+    assert changes.rows == [["2: 12k / 4k", "3 x mall", OURS.name, *["0 undecided"] * 4]]
 
 
 def test_markdown_says_what_kind_of_run_it_was(rows):

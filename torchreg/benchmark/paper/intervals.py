@@ -43,7 +43,9 @@ def difference_table(groups: Sequence[PlaceGroup], ways: Sequence[Way], differen
         for group, way, keys in _rows(setting, groups, ways):
             changes = [differences.get(key) for key in keys if key.method in COMPARED]
             if any(changes):
-                rows.append([label, group.name, way.name, *(text for one in changes for text in _change(one))])
+                places = max(one.places for one in changes if one is not None)
+                texts = [text for one in changes for text in _change(one)]
+                rows.append([label, f"{places} x {group.name}", way.name, *texts])
                 label = ""
     head = ["setting", "places", "normals, RANSAC"]
     head += [f"{SHORT[method]}: {what}" for method in COMPARED for what in ("found, %", "RMSE, mm")]
