@@ -96,8 +96,8 @@ def simulated_places(seed: int, count: int, *, angular_step: float, beyond: int 
     alike = [
         place(*kind, number, WAYS if number - seed < beyond else MAIN_WAYS) for number in numbers for kind in kinds
     ]
-    kinds = (*((mall, group) for group in MALL_APART), (road, ROAD_APART))
-    apart = [place(*kind, number, (OURS,)) for number in numbers[:beyond] for kind in kinds]
+    farther = (*((mall, group) for group in MALL_APART), (road, ROAD_APART))
+    apart = [place(*kind, number, (OURS,)) for number in numbers[:beyond] for kind in farther]
     return (*alike, *apart)
 
 
