@@ -4,44 +4,21 @@ import csv
 import io
 
 import pytest
-import torch
+from paper_rows import row
 
 from torchreg.benchmark.core.study import Picture
 from torchreg.benchmark.paper.charts import errors_chart, times_chart
+from torchreg.benchmark.paper.differences_chart import differences_chart
 from torchreg.benchmark.paper.document import csv_files, markdown, overview, tables
-from torchreg.benchmark.paper.measure import SPANS, TIMED
+from torchreg.benchmark.paper.intervals import COMPARED
 from torchreg.benchmark.paper.methods import METHODS
-from torchreg.benchmark.paper.places import GROUPS, MALL, REAL, ROAD
+from torchreg.benchmark.paper.places import MALL, REAL, ROAD
 from torchreg.benchmark.paper.printed import FPFH, FUSED
 from torchreg.benchmark.paper.settings import SETTINGS, settings_of
-from torchreg.benchmark.paper.tables import (
-    added,
-    added_in_words,
-    as_printed,
-    errors_of,
-    is_found,
-    number,
-    spread_of,
-    summarize,
-    time_table,
-    times_of,
-)
-
-
-def row(setting, group, place, method, rre=1.0, rte=0.1, rmse=0.2, threshold=0.2):
-    return {
-        "key": f"{setting.experiment}/{setting.name}/{group.name}-{place}/{method}",
-        "experiment": setting.experiment,
-        "setting": setting.name,
-        "group": group.name,
-        "method": method,
-        "rre_degrees": rre,
-        "rte_meters": rte,
-        "rmse_meters": rmse,
-        "inlier_ratio": 0.25,
-        "threshold": threshold,
-        "T_target_source": torch.eye(4).tolist(),
-    }
+from torchreg.benchmark.paper.summary import differences_of, errors_of, found_share, times_of
+from torchreg.benchmark.paper.tables import added, added_in_words, as_printed, number, time_table
+from torchreg.benchmark.paper.times import SPANS, TIMED
+from torchreg.benchmark.paper.ways import AS_PAPER, MAIN_WAYS, OURS
 
 
 def time_row(name, points):
@@ -54,10 +31,11 @@ def time_row(name, points):
 def rows():
     """Three places a setting, whose errors are one, two and three times a number; only the first is found."""
     errors = [
-        row(setting, group, place, method, rre=8.0 * place, rte=0.09 * place, rmse=0.3 * place)
+        row(setting, group, place, method, way, rre=[8.0 * place], rte=[0.09 * place], rmse=[0.3 * place] * 3)
         for group in (MALL, REAL, ROAD)
         for setting in SETTINGS
         if setting.outdoor == group.outdoor
+        for way in MAIN_WAYS
         for method in METHODS
         for place in (1, 2, 3)
     ]
@@ -75,9 +53,12 @@ def test_tables_have_the_papers_numbers_and_columns(rows):
     assert lines["RTE/m, paper"][:6] == ["0.0638", "0.279", "0.099", "0.104", "0.091", "0.070"]
     assert lines["RRE/°, ours"] == ["16.0 ± 8.000"] * 9
     assert lines["RMSE/m, our median"] == ["0.600"] * 9
-    assert lines["found"] == ["1 / 3"] * 9
-    assert [table.heading[:8] for table in made[5]] == ["Table 5a", "Table 5b"]
-    assert made[9][0].heading == f"Table 9: {ROAD.title}"
+    assert lines["found"] == ["33% of 3"] * 9
+    assert [table.heading[:8] for table in made[5]] == ["Table 5a", "Table 5b", "Table 5c", "Table 5d"]
+    assert [table.heading for table in made[9]] == [
+        f"Table 9a: {ROAD.title}; {OURS.title}",
+        f"Table 9b: {ROAD.title}; {AS_PAPER.title}",
+    ]
     assert len(made[6][0].head) == 4
     for several in made.values():
         for table in several:
@@ -105,14 +86,17 @@ def test_table_8_prints_the_slip_as_it_stands(rows):
 
 
 def test_a_run_of_one_experiment_has_its_table_alone(rows):
-    only = [one for one in rows if one["experiment"] == 2 and one.get("group") == MALL.name]
+    names = (2, MALL.name, OURS.name)
+    only = [one for one in rows if (one["experiment"], one.get("group"), one.get("way")) == names]
     made = tables(only)
     assert list(made) == [6]
-    assert made[6][0].heading == f"Table 6: {MALL.title}"
-    assert overview(only).rows == [
-        ["2: 12k / 4k", "the paper", "8.550", "0.200", "-"],
-        ["", "mall", *["1/3, 0.600"] * 3],
+    assert made[6][0].heading == f"Table 6: {MALL.title}; {OURS.title}"
+    found, changes = overview(only)
+    assert found.rows == [
+        ["2: 12k / 4k", "the paper", "", "8.550", "0.200", "-"],
+        ["", "3 x mall", OURS.name, *["33 [0, 100] %; 0.600 [0.300, 0.900]"] * 3],
     ]
+    assert changes.rows == [["2: 12k / 4k", "3 x mall", OURS.name, *["0 undecided"] * 4]]
 
 
 def test_markdown_says_what_kind_of_run_it_was(rows):
@@ -129,31 +113,23 @@ def test_markdown_says_what_kind_of_run_it_was(rows):
 
 def test_csv_holds_every_number(rows):
     files = csv_files(rows)
-    assert sorted(files) == [f"table{n}.csv" for n in (5, 6, 7, 8, 9)]
+    assert sorted(files) == ["intervals.csv", *(f"table{n}.csv" for n in (5, 6, 7, 8, 9))]
     lines = list(csv.DictReader(io.StringIO(files["table9.csv"])))
-    assert len(lines) == len(METHODS) * 4
+    assert len(lines) == len(METHODS) * 4 * len(MAIN_WAYS)
     first = lines[0]
-    assert (first["places"], first["method"], first["measure"]) == ("road", FPFH, "rre_degrees")
+    assert (first["group"], first["method"], first["measure"]) == ("road", FPFH, "rre_degrees")
     assert (float(first["paper"]), float(first["mean"]), float(first["most"])) == (0.281, 16.0, 24.0)
-    assert (first["found"], first["runs"]) == ("1", "3")
+    assert (float(first["found"]), first["places"]) == (pytest.approx(1 / 3), "3")
     assert len(list(csv.DictReader(io.StringIO(files["table8.csv"])))) == 4 * len(SPANS) * len(TIMED) * 3
 
 
-def test_spread_of_one_place_has_no_deviation(rows):
-    assert spread_of([2.0]) == (2.0, None, 2.0, 2.0, 2.0)
-    assert spread_of([1.0, 3.0]).deviation == pytest.approx(2**0.5)
+def test_one_place_has_no_deviation(rows):
     assert "±" not in markdown(rows[:1], [], "").split("## ")[1]
 
 
 @pytest.mark.parametrize(("rmse", "threshold", "right"), [(0.49, 0.2, True), (0.51, 0.2, False), (0.2, 0.05, False)])
 def test_found_is_measured_in_inlier_thresholds(rmse, threshold, right):
-    assert is_found(row(SETTINGS[0], MALL, 0, FPFH, rmse=rmse, threshold=threshold)) is right
-
-
-def test_cells_do_not_mix_groups_or_methods(rows):
-    cells = summarize(rows)
-    assert {cell.runs for cell in cells.values()} == {3}
-    assert len(cells) == (8 * 2 + 1) * len(METHODS)
+    assert found_share(row(SETTINGS[0], MALL, 0, FPFH, rmse=[rmse], threshold=threshold)) == right
 
 
 def test_numbers_keep_the_papers_zeros():
@@ -162,8 +138,8 @@ def test_numbers_keep_the_papers_zeros():
 
 
 def test_charts_draw_every_dot_and_the_papers_numbers(rows):
-    groups = [group for group in GROUPS if group in (MALL, REAL)]
-    chart = errors_chart(3, groups, errors_of(rows))
+    lines = [(group, OURS) for group in (MALL, REAL)]
+    chart = errors_chart(3, lines, errors_of(rows))
     assert len(chart.axes) == 6
     for ax, real in zip(chart.axes, [False] * 3 + [True] * 3, strict=True):
         dots = sum(len(line.get_xdata()) for line in ax.lines if line.get_marker() == "o")
@@ -171,3 +147,11 @@ def test_charts_draw_every_dot_and_the_papers_numbers(rows):
         assert dots == 4 * 3 * len(METHODS)
         assert diamonds == (0 if real else 4 * 2)
     assert len(times_chart(times_of(rows)).axes) == len(SPANS)
+
+
+def test_the_chart_of_differences_has_a_bar_for_each(rows):
+    chart = differences_chart([MALL, ROAD], MAIN_WAYS, differences_of(rows))
+    assert len(chart.axes) == 2 * len(MAIN_WAYS)
+    for ax in chart.axes:
+        assert sum(line.get_marker() == "o" for line in ax.lines) == 9 * len(COMPARED)
+    assert [label.get_text() for label in chart.axes[0].get_yticklabels()][-1] == "road, 5: road"

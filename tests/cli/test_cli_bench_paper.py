@@ -23,8 +23,8 @@ def test_a_quick_run_of_one_experiment(results):
     assert result.exit_code == 0, result.output
     names = {path.name for path in folder.iterdir()}
     assert names == {
-        *("paper.md", "paper.json", "rows.jsonl", "table6.csv"),
-        *("figure4_mall.png", "chart_experiment2.png"),
+        *("paper.md", "paper.json", "rows.jsonl", "table6.csv", "intervals.csv"),
+        *("figure4_mall.png", "chart_experiment2.png", "differences.png"),
     }
     assert "12k / 4k" in result.stdout
     assert "paper.md" in result.stdout.replace("\n", "")
@@ -39,7 +39,7 @@ def test_json_says_what_the_numbers_depend_on(results):
     assert {"torch", "torchreg", "processor", "threads"} <= found["machine"].keys()
     assert found["run"]["quick"] is True
     assert found["run"]["experiments"] == [2]
-    assert len(found["errors"]) == 3
+    assert len(found["errors"]) == 3 * 2
     assert all(row["points"] == [3000, 1000] for row in found["errors"])
 
 
@@ -55,6 +55,19 @@ def test_a_finished_run_measures_nothing_again(results, run):
     assert (folder / "paper.md").exists()
 
 
+def test_a_killed_run_goes_on_and_ends_in_the_same_bytes(results, run, tmp_path):
+    _, folder = results
+    rows = (folder / "rows.jsonl").read_bytes()
+    half = rows[: len(rows) // 2]
+    assert 1 < half.count(b"\n") < rows.count(b"\n") - 1
+    (tmp_path / "rows.jsonl").write_bytes(half)
+    result = run("bench", "paper", "--quick", "--experiment", "2", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert (tmp_path / "rows.jsonl").read_bytes() == rows
+    for name in ("table6.csv", "intervals.csv", "paper.md"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
 def test_a_folder_of_another_run_is_refused(results, run):
     result = run("bench", "paper", "--quick", "--seed", "7", "--experiment", "2", "--out", results[1])
     assert result.exit_code == 2
@@ -68,7 +81,7 @@ def test_a_quick_run_of_everything(run, tmp_path):
     names = {path.name for path in tmp_path.iterdir()}
     assert {f"table{n}.csv" for n in (5, 6, 7, 8, 9)} < names
     assert {"figure3_mall.png", "figure4_mall.png", "figure5_mall.png", "figure6_road.png"} < names
-    assert {f"chart_experiment{n}.png" for n in (1, 2, 3, 4, 5)} < names
+    assert {"differences.png", *(f"chart_experiment{n}.png" for n in (1, 2, 3, 4, 5))} < names
     text = (tmp_path / "paper.md").read_text()
     for number in (5, 6, 7, 8, 9):
         assert f"## Table {number}" in text

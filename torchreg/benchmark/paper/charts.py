@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchreg.benchmark.core.rows import Row
-from torchreg.benchmark.paper.measure import SPANS, TIMED
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.benchmark.paper.places import PlaceGroup
 from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.settings import settings_of
+from torchreg.benchmark.paper.summary import error
 from torchreg.benchmark.paper.tables import LABELS
+from torchreg.benchmark.paper.times import SPANS, TIMED
+from torchreg.benchmark.paper.ways import Way
 from torchreg.report.canvas import add_legend, blank_figure
 
 if TYPE_CHECKING:
@@ -30,14 +32,15 @@ _BAR = 0.8 / len(METHODS)
 _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
-def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[Row]) -> Figure:
-    """RRE, RTE and RMSE of experiment 1, 2, 3 or 5: a row of panels for each group of places, the first on top."""
+def errors_chart(experiment: int, lines: Sequence[tuple[PlaceGroup, Way]], rows: Sequence[Row]) -> Figure:
+    """RRE, RTE and RMSE of experiment 1, 2, 3 or 5: a row of panels for each group and way, the first on top."""
     settings = [setting.name for setting in settings_of(experiment)]
     title = f"Experiment {experiment}: dots are places, bars their median"
-    figure = _figure(len(LABELS), len(groups), title, METHODS)
-    panels = figure.subplots(len(groups), len(LABELS), squeeze=False)
-    for group, row in zip(groups, panels, strict=True):
-        of_group = [one for one in rows if one["experiment"] == experiment and one["group"] == group.name]
+    figure = _figure(len(LABELS), len(lines), title, METHODS)
+    panels = figure.subplots(len(lines), len(LABELS), squeeze=False)
+    for (group, way), row in zip(lines, panels, strict=True):
+        names = (experiment, group.name, way.name)
+        of_group = [one for one in rows if (one["experiment"], one["group"], one["way"]) == names]
         for (measure, label), ax in zip(LABELS.items(), row, strict=True):
             _error_panel(ax, settings, of_group, measure)
             if not group.real:
@@ -45,7 +48,7 @@ def errors_chart(experiment: int, groups: Sequence[PlaceGroup], rows: Sequence[R
             _logarithmic(ax)
             ax.set_ylabel(label.replace("/", " in "), fontsize=9)
             ax.set_xlabel(_AXIS_NAMES[experiment], fontsize=9)
-        row[0].set_title(group.title, fontsize=10, loc="left")
+        row[0].set_title(f"{group.title}; {way.title}", fontsize=10, loc="left")
     return figure
 
 
@@ -75,10 +78,11 @@ def _error_panel(ax: Axes, settings: Sequence[str], rows: Sequence[Row], measure
     for place, name in enumerate(settings):
         for method in METHODS:
             x = _across(place, method)
-            errors = [max(row[measure], _LEAST) for row in rows if (row["setting"], row["method"]) == (name, method)]
+            here = [row for row in rows if (row["setting"], row["method"]) == (name, method)]
+            errors = [max(error(row, measure), _LEAST) for row in here]
             if errors:
-                spread = np.linspace(-0.25, 0.25, len(errors)) * _BAR if len(errors) > 1 else np.zeros(1)
-                ax.plot(x + spread, sorted(errors), "o", color=COLORS[method], markersize=3.5, alpha=0.7)
+                spread = np.linspace(-0.35, 0.35, len(errors)) * _BAR if len(errors) > 1 else np.zeros(1)
+                ax.plot(x + spread, sorted(errors), "o", color=COLORS[method], markersize=3.0, alpha=0.6)
                 ax.plot([x - 0.4 * _BAR, x + 0.4 * _BAR], [median(errors)] * 2, color=COLORS[method], linewidth=2)
     ax.set_xticks(range(len(settings)), settings)
     ax.set_xlim(-0.6, len(settings) - 0.4)

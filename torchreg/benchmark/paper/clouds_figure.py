@@ -17,6 +17,7 @@ from torch import Tensor
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.paper.methods import METHODS
 from torchreg.geometry.se3 import apply, inverse
+from torchreg.metrics.pose import PoseErrors
 from torchreg.report.canvas import add_legend, blank_figure, set_limits
 from torchreg.report.figures import SOURCE_COLOR, TARGET_COLOR
 from torchreg.report.scene import box, padded
@@ -74,9 +75,8 @@ def _registered(ax: Axes, shown: Shown, method: str, whole: NDArray[Any]) -> Non
     if cut is not None:
         source, moved = (points[(points[:, 2] >= cut[0]) & (points[:, 2] <= cut[1])] for points in (whole, moved))
     _scatter(ax, source[:, :2], moved[:, :2], np.concatenate((whole, true))[:, :2])
-    ax.set_xlabel(
-        f"RRE {row['rre_degrees']:.2f}°, RTE {row['rte_meters']:.3f} m, RMSE {row['rmse_meters']:.3f} m", fontsize=8
-    )
+    rre, rte, rmse = (row[name][0] for name in PoseErrors._fields)  # of the run whose transform the row keeps
+    ax.set_xlabel(f"RRE {rre:.2f}°, RTE {rte:.3f} m, RMSE {rmse:.3f} m", fontsize=8)
 
 
 def _upright(cloud: Clouds, T_target_source: Tensor | None) -> NDArray[Any]:

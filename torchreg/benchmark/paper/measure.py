@@ -1,15 +1,14 @@
-"""The rows of the paper's experiments: errors of every setting, place and method (1, 2, 3, 5), and times (4).
+"""The rows of Experiments 1, 2, 3 and 5: the errors of every setting, place, way and method, of several runs of RANSAC.
 
-The paper says neither what its times cover nor on what machine. Three spans are measured: the descriptors of one cloud
-alone, the same with its neighborhoods and normals, and the registration of a whole pair.
+Scans are made once per place, points drawn and described once per setting, and matched once per method and kind of
+normals: only RANSAC runs again.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,24 +16,18 @@ from torch import Tensor
 
 from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Cell
-from torchreg.benchmark.core.timing import interleaved
 from torchreg.benchmark.paper.methods import METHODS, options_of
 from torchreg.benchmark.paper.places import Place
-from torchreg.benchmark.paper.printed import FPFH, FUSED
-from torchreg.benchmark.paper.settings import PaperSetting, RunSize, settings_of
-from torchreg.descriptors.fuse import fuse
-from torchreg.geometry.se3 import transform
+from torchreg.benchmark.paper.settings import RUNS, PaperSetting, RunSize
+from torchreg.benchmark.paper.sides import Side, described, matched
+from torchreg.benchmark.paper.ways import MAIN_WAYS, Way
+from torchreg.geometry.se3 import apply_rotation, rigid, transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample
-from torchreg.registration.describe import describe, description_of, oriented
-from torchreg.registration.described import Description
-from torchreg.registration.register import register
-from torchreg.types import Clouds, Features, Neighborhoods
-
-SPANS = ("descriptors", "with neighborhoods and normals", "whole registration")
-"""What is timed, from the least to all."""
-
-TIMED = (FPFH, FUSED)
+from torchreg.seeds import generator_of
+from torchreg.solvers import Solver, base_seed
+from torchreg.solvers.batch import poses_of_pairs
+from torchreg.types import Clouds, Correspondences
 
 
 class Trial(NamedTuple):
@@ -45,49 +38,65 @@ class Trial(NamedTuple):
     T_target_source: Tensor
 
 
+class _Pair(NamedTuple):
+    """The same, described."""
+
+    trial: Trial
+    source: Side
+    target: Side
+
+
 def error_cells(
     places: Sequence[Place], settings: Sequence[PaperSetting], size: RunSize, device: torch.device
 ) -> list[Cell]:
-    """Every setting on every place of its kind, indoor or outdoor, by every method."""
+    """Every setting on every place of its kind, indoor or outdoor, in the place's ways by every method.
+
+    Places come one after another, all settings of each; what goes beyond the paper comes after everything else.
+    """
     clouds_of = lru_cache(maxsize=1)(Place.clouds)
 
     @lru_cache(maxsize=1)
-    def trial_of(place: Place, setting: PaperSetting) -> Trial:
-        return trial(clouds_of(place), setting, place, size, device)
+    def source_of(place: Place, count: int) -> tuple[Clouds, Side]:
+        cloud = _drawn(clouds_of(place)[0], count, place, 0, size).to(device)
+        return cloud, described(cloud, place.scale)
 
-    def measure(place: Place, setting: PaperSetting, method: str) -> Row:
-        return _errors(trial_of(place, setting), place, setting, method, size)
+    @lru_cache(maxsize=1)
+    def pair_of(place: Place, setting: PaperSetting) -> _Pair:
+        source, side = source_of(place, setting.points[0])
+        one = trial(clouds_of(place), setting, place, size, device)
+        return _Pair(one._replace(source=source), side, described(one.target, place.scale))
 
-    return [
-        Cell(
-            key_of(setting, place, method),
-            f"{place.name}, experiment {setting.experiment}, {setting.name}, {method}",
-            partial(measure, place, setting, method),
-        )
+    @lru_cache(maxsize=2 * len(METHODS))
+    def matches_of(place: Place, setting: PaperSetting, method: str, turned: bool) -> Correspondences:
+        pair = pair_of(place, setting)
+        return matched(pair.source, pair.target, options_of(method, scale=place.scale), turned=turned)
+
+    def measure(place: Place, setting: PaperSetting, way: Way, method: str) -> Row:
+        matches = matches_of(place, setting, method, way.turned)
+        return _errors(pair_of(place, setting), matches, place, setting, way, method, size)
+
+    wanted = [
+        (place, setting, way)
         for place in places
         for setting in settings
         if setting.outdoor == place.group.outdoor
+        for way in place.ways
+    ]
+    wanted.sort(key=lambda each: not (each[0].group.paper and each[2] in MAIN_WAYS))
+    return [
+        Cell(
+            key_of(setting, place, way, method),
+            f"{place.name}, experiment {setting.experiment}, {setting.name}, {way.name}, {method}",
+            partial(measure, place, setting, way, method),
+        )
+        for place, setting, way in wanted
         for method in METHODS
     ]
 
 
-def time_cells(place: Place, size: RunSize, device: torch.device) -> list[Cell]:
-    """Both timed methods at every point count of Experiment 3; other numbers of threads are other rows."""
-    clouds_of = lru_cache(maxsize=1)(Place.clouds)
-    threads = f"{torch.get_num_threads()} threads"
-
-    def measure(setting: PaperSetting) -> Row:
-        return _times(trial(clouds_of(place), setting, place, size, device), place, setting, size)
-
-    return [
-        Cell(f"4/{setting.name}/{place.name}/{threads}", f"times, {setting.name} points", partial(measure, setting))
-        for setting in settings_of(3)
-    ]
-
-
-def key_of(setting: PaperSetting, place: Place, method: str) -> str:
+def key_of(setting: PaperSetting, place: Place, way: Way, method: str) -> str:
     """The name of a row of errors."""
-    return f"{setting.experiment}/{setting.name}/{place.name}/{method}"
+    return f"{setting.experiment}/{setting.name}/{place.name}/{way.name}/{method}"
 
 
 def trial(
@@ -99,75 +108,53 @@ def trial(
     part of more, so that nothing but the setting differs.
     """
     source, target = (
-        random_downsample(cloud, max(count // size.divisor, 1), generator=_generator(place.number, side)).to(device)
+        _drawn(cloud, count, place, side, size).to(device)
         for side, (cloud, count) in enumerate(zip(clouds, setting.points, strict=True))
     )
     T = setting.pose.matrix()
     return Trial(source, transform(target, T), T)
 
 
-def _errors(one: Trial, place: Place, setting: PaperSetting, method: str, size: RunSize) -> Row:
-    options = options_of(method, scale=place.scale, hypotheses=size.hypotheses, refit=place.group.refit)
-    begin = time.perf_counter()
-    result = register(one.source, one.target, options, seed=place.number)
-    T = result.T_target_source.cpu()
-    seconds = time.perf_counter() - begin
+def _drawn(cloud: Clouds, count: int, place: Place, side: int, size: RunSize) -> Clouds:
+    generator = torch.Generator().manual_seed(stream(place.number, side))
+    return random_downsample(cloud, max(count // size.divisor, 1), generator=generator)
+
+
+def _errors(
+    pair: _Pair, matches: Correspondences, place: Place, setting: PaperSetting, way: Way, method: str, size: RunSize
+) -> Row:
+    """One row: every error is a list of one number per run of RANSAC; the transform is that of the first."""
+    options = options_of(method, scale=place.scale, hypotheses=size.hypotheses, refit=way.refit)
+    one, source, target = pair.trial, pair.source.cloud, pair.target.cloud
+    draws = [base_seed(generator_of(stream(place.number, 2 + run))) for run in range(RUNS)]  # as ``register`` does
+    poses = [_best_pose(source, target, matches, options.solver, draw) for draw in draws]
+    errors = [pose_errors(one.source, one.T_target_source, T) for T in poses]
     truth = one.T_target_source[None].to(one.source.device)
-    threshold = options.inlier_threshold
-    ratio = inlier_ratio(result.source, result.target, result.correspondences, truth, threshold)
-    errors = pose_errors(one.source, one.T_target_source, T[0])
     return {
         "experiment": setting.experiment,
         "setting": setting.name,
         "group": place.group.name,
         "place": place.name,
+        "way": way.name,
         "method": method,
-        **errors._asdict(),
-        "success": bool(result.success[0]),
+        **{name: [getattr(error, name) for error in errors] for name in errors[0]._fields},
         "points": [len(one.source.points), len(one.target.points)],
-        "matches": len(result.correspondences.source),
-        "inlier_ratio": float(ratio[0]),
-        "threshold": threshold,
-        "seconds": seconds,
-        "T_target_source": T[0].tolist(),
+        "matches": len(matches.source),
+        "inlier_ratio": float(inlier_ratio(source, target, matches, truth, options.inlier_threshold)[0]),
+        "threshold": options.inlier_threshold,
+        "T_target_source": poses[0].tolist(),
     }
 
 
-def _generator(place: int, side: int) -> torch.Generator:
-    """A stream of its own for every place and side."""
-    return torch.Generator().manual_seed(int(np.random.SeedSequence((place, side)).generate_state(1)[0]))
+def _best_pose(source: Clouds, target: Clouds, matches: Correspondences, solver: Solver, seed: int) -> Tensor:
+    """``T_target_source`` (4, 4) that most matches agree on, as ``solve`` has it; the identity where there is none."""
+    poses = poses_of_pairs(source, target, matches, [solver], seed)[0]
+    if len(poses.support) == 0:
+        return torch.eye(4, dtype=torch.float64)
+    R, t = poses.rotation[0], poses.translation[0]
+    return rigid(R, t + target.origin[0] - apply_rotation(R, source.origin[0])).cpu()
 
 
-def _times(one: Trial, place: Place, setting: PaperSetting, size: RunSize) -> Row:
-    runs: dict[str, Callable[[], Any]] = {}
-    for method in TIMED:
-        options = options_of(method, scale=place.scale, hypotheses=size.hypotheses)
-        description = description_of(options, colored=one.source.colors is not None)
-        cloud, near = oriented(one.source, [description])
-        runs[f"{SPANS[0]}/{method}"] = partial(_described, cloud, near, description)
-        runs[f"{SPANS[1]}/{method}"] = partial(_from_points, one.source, description)
-        runs[f"{SPANS[2]}/{method}"] = partial(register, one.source, one.target, options, seed=place.number)
-    finished = {name: partial(_finished, run, one.source.device) for name, run in runs.items()}
-    return {
-        "experiment": 4,
-        "setting": setting.name,
-        "place": place.name,
-        "points": len(one.source.points),
-        "seconds": interleaved(finished, size.repeats),
-    }
-
-
-def _described(cloud: Clouds, near: Neighborhoods, description: Description) -> Features:
-    """What is matched: FPFH, or FPFH and PCFH as one vector, of a cloud with normals."""
-    return fuse(*describe(cloud, near, [description.descriptors]))
-
-
-def _from_points(cloud: Clouds, description: Description) -> Features:
-    return _described(*oriented(cloud, [description]), description)
-
-
-def _finished(run: Callable[[], Any], device: torch.device) -> None:
-    """Run, and wait for a device that works beside the processor."""
-    run()
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
+def stream(place: int, number: int) -> int:
+    """The seed of one of a place's streams of random numbers: 0 and 1 draw points, the others are runs of RANSAC."""
+    return int(np.random.SeedSequence((place, number)).generate_state(1)[0])

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from torchreg.benchmark.core.real_pairs import RealPair, read_real_pairs
+from torchreg.benchmark.paper.ways import MAIN_WAYS, OURS, WAYS, Way
 from torchreg.datasets import ScanPair, mall, road
 from torchreg.errors import CloudFileError, at_least
 from torchreg.geometry.se3 import transform
@@ -31,28 +32,30 @@ class PlaceGroup:
     outdoor: bool = False  # stands for the road rather than the mall
     paper: bool = True  # scanned as in the paper, and not a variant that goes beyond it
     real: bool = False  # scans of real places, at another scale than the paper's
-    refit: bool = True  # RANSAC refits its best hypotheses to their inliers
+    baseline: float = 0.1  # meters between simulated stations: a tripod set up again, unless it says more
 
 
 MALL = PlaceGroup(name="mall", title="simulated mall, both scans from one place")
-MALL_BARE = PlaceGroup(
-    name="mall, no refit", title="simulated mall, RANSAC by counts alone, no refitting", paper=False, refit=False
-)
 MALL_APART = tuple(
-    PlaceGroup(name=f"mall, {meters} m apart", title=f"simulated mall, stations {meters} m apart", paper=False)
+    PlaceGroup(
+        name=f"mall, {meters} m apart",
+        title=f"simulated mall, stations {meters} m apart",
+        paper=False,
+        baseline=float(meters),
+    )
     for meters in (1, 6)
 )
 ROAD = PlaceGroup(name="road", title="simulated road, both scans from one place", outdoor=True)
-ROAD_APART = PlaceGroup(name="road, 6 m apart", title="simulated road, stations 6 m apart", outdoor=True, paper=False)
+ROAD_APART = PlaceGroup(
+    name="road, 6 m apart", title="simulated road, stations 6 m apart", outdoor=True, paper=False, baseline=6.0
+)
 REAL = PlaceGroup(name="real rooms", title="real rooms, RGB-D", real=True)
 REAL_OUTDOOR = PlaceGroup(name="real outdoors", title="real scenes in the open", outdoor=True, real=True)
 
-GROUPS = (MALL, MALL_BARE, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
+GROUPS = (MALL, *MALL_APART, REAL, ROAD, ROAD_APART, REAL_OUTDOOR)
 
 LEAST_OVERLAP = 0.6
 """Of real pairs, since the paper scanned twice from the same place."""
-
-_SAME_PLACE = 0.1  # meters: a tripod set up again
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,7 @@ class Place:
     name: str  # different for every place
     number: int  # of the place within its group, which seeds its random draws
     scale: float  # of the paper's lengths
+    ways: tuple[Way, ...]  # in which it is registered
     scan: Callable[[], ScanPair]  # makes or reads the two scans
 
     def clouds(self) -> tuple[Clouds, Clouds]:
@@ -71,29 +75,30 @@ class Place:
         return transform(pair.source, pair.T_target_source), pair.target
 
 
-def simulated_places(seed: int, count: int, *, angular_step: float, variants: bool = True) -> tuple[Place, ...]:
-    """Malls and roads ``seed`` to ``seed + count - 1``, from one place and, as variants, from two.
+def simulated_places(seed: int, count: int, *, angular_step: float, beyond: int = 0) -> tuple[Place, ...]:
+    """Malls and roads ``seed`` to ``seed + count - 1`` from one place, then the first ``beyond`` of them from two.
+
+    A mall comes before the road of its number and both before the next, so that an unfinished run has some of each.
+    The first ``beyond`` are registered in all ways, the others in the library's own and the paper's alone.
 
     Raises:
         ValueError: no integer, or ``count`` below 1.
     """
     any_seed(seed)
     at_least(count, "seeds", 1)
-    wanted = [(mall, MALL, _SAME_PLACE), (road, ROAD, _SAME_PLACE)]
-    if variants:
-        wanted += [(mall, MALL_BARE, _SAME_PLACE), (mall, MALL_APART[0], 1.0), (mall, MALL_APART[1], 6.0)]
-        wanted += [(road, ROAD_APART, 6.0)]
-    return tuple(
-        Place(
-            group=group,
-            name=f"{group.name}-{number}",
-            number=number,
-            scale=1.0,
-            scan=partial(simulate, number, baseline=baseline, angular_step=angular_step),
-        )
-        for simulate, group, baseline in wanted
-        for number in range(seed, seed + count)
-    )
+
+    def place(simulate: Callable[..., ScanPair], group: PlaceGroup, number: int, ways: tuple[Way, ...]) -> Place:
+        scan = partial(simulate, number, baseline=group.baseline, angular_step=angular_step)
+        return Place(group=group, name=f"{group.name}-{number}", number=number, scale=1.0, ways=ways, scan=scan)
+
+    numbers = range(seed, seed + count)
+    kinds = ((mall, MALL), (road, ROAD))
+    alike = [
+        place(*kind, number, WAYS if number - seed < beyond else MAIN_WAYS) for number in numbers for kind in kinds
+    ]
+    farther = (*((mall, group) for group in MALL_APART), (road, ROAD_APART))
+    apart = [place(*kind, number, (OURS,)) for number in numbers[:beyond] for kind in farther]
+    return (*alike, *apart)
 
 
 def real_places(path: Path, seed: int) -> tuple[Place, ...]:
@@ -118,6 +123,7 @@ def real_places(path: Path, seed: int) -> tuple[Place, ...]:
             name=pair.name,
             number=seed,
             scale=pair.voxel / PAPER.inlier_threshold,
+            ways=MAIN_WAYS,
             scan=partial(_read, pair),
         )
         for pair in listed

@@ -60,6 +60,10 @@ TABLES = {1: 5, 2: 6, 3: 7, 4: 8, 5: 9}
 """The paper's table with the results of each experiment."""
 
 
+RUNS = 3
+"""Of RANSAC on every pair, with draws of their own."""
+
+
 class RunSize(NamedTuple):
     """How long a run takes: at the paper's sizes, or at small ones to see that everything works."""
 
@@ -67,11 +71,11 @@ class RunSize(NamedTuple):
     divisor: int  # of the paper's point counts
     hypotheses: int  # that RANSAC draws at most
     repeats: int  # of every measured time
-    variants: bool  # whether stations apart are simulated too
+    beyond: int  # places that are also scanned from stations apart, and registered in all ways, at most
 
 
-FULL = RunSize(angular_step=0.4, divisor=1, hypotheses=600_000, repeats=7, variants=True)
-QUICK = RunSize(angular_step=1.5, divisor=4, hypotheses=50_000, repeats=2, variants=False)
+FULL = RunSize(angular_step=0.4, divisor=1, hypotheses=600_000, repeats=7, beyond=10)
+QUICK = RunSize(angular_step=1.5, divisor=4, hypotheses=50_000, repeats=2, beyond=0)
 
 
 def settings_of(experiment: int) -> tuple[PaperSetting, ...]:

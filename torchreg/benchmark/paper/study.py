@@ -12,18 +12,20 @@ from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.study import Study
 from torchreg.benchmark.core.tables import Table
 from torchreg.benchmark.paper.document import csv_files, markdown, overview
-from torchreg.benchmark.paper.measure import error_cells, time_cells
+from torchreg.benchmark.paper.measure import error_cells
 from torchreg.benchmark.paper.pictures import draw
 from torchreg.benchmark.paper.places import MALL, Place, real_places, simulated_places
-from torchreg.benchmark.paper.settings import EXPERIMENTS, FULL, QUICK, settings_of
-from torchreg.benchmark.paper.tables import added_in_words, errors_of, times_of
+from torchreg.benchmark.paper.settings import EXPERIMENTS, FULL, QUICK, RUNS, settings_of
+from torchreg.benchmark.paper.summary import errors_of, times_of
+from torchreg.benchmark.paper.tables import added_in_words
+from torchreg.benchmark.paper.times import time_cells
 from torchreg.errors import expect
 
 
 def paper_study(
     experiments: Sequence[int] = EXPERIMENTS,
     *,
-    seeds: int = 10,
+    seeds: int = 60,
     seed: int = 0,
     real: Path | None = None,
     quick: bool = False,
@@ -56,8 +58,7 @@ def paper_study(
     return Study(
         name="paper",
         cells=cells,
-        settings={"seed": seed, "quick": quick, "device": device},
-        versions=("torchreg", "torch"),
+        settings={"seed": seed, "quick": quick, "device": device, "runs": RUNS},
         run={"experiments": experiments, "seeds": seeds},
         document=partial(markdown, quick=quick),
         content=lambda rows: {"errors": errors_of(rows), "times": times_of(rows)},
@@ -71,9 +72,9 @@ def paper_study(
 def chosen_places(
     experiments: Sequence[int], *, seeds: int, seed: int, real: Path | None, quick: bool
 ) -> tuple[Place, ...]:
-    """Every pair of scans that the experiments need, the paper's kind first."""
+    """Every pair of scans that the experiments need, the simulated ones first."""
     size = QUICK if quick else FULL
-    simulated = simulated_places(seed, seeds, angular_step=size.angular_step, variants=size.variants)
+    simulated = simulated_places(seed, seeds, angular_step=size.angular_step, beyond=size.beyond)
     scanned = () if real is None else real_places(real, seed)
     if quick:
         scanned = tuple({place.group.name: place for place in reversed(scanned)}.values())
@@ -83,6 +84,6 @@ def chosen_places(
 
 
 def _shown(rows: list[Row]) -> list[Table | str]:
-    """The overview, and what PCFH adds to the times."""
-    tables = [overview(rows)] if errors_of(rows) else []
+    """The overview, what color changes, and what PCFH adds to the times."""
+    tables = overview(rows) if errors_of(rows) else []
     return [*tables, *([added_in_words(times_of(rows))] if times_of(rows) else [])]
