@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import typer
 
-from torchreg.cli.bench import features, field, paper, site, speed, threedmatch
+from torchreg.cli.bench import family, features, field, paper, site, speed, threedmatch
 from torchreg.cli.guard import GuardedGroup
 
 bench = typer.Typer(
@@ -22,3 +22,4 @@ bench.command()(features.features)
 bench.command()(site.site)
 bench.command()(paper.paper)
 bench.command()(speed.speed)
+bench.command()(family.family)
