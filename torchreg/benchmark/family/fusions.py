@@ -7,7 +7,6 @@ beside all that the default has. Entries of histograms are also moved to their s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -61,12 +60,17 @@ class Fusion:
         Poses are not refined on the clouds as given at the end, which does not decide whether they are right.
         """
         usual = options_for(edge, colored=colored)
-        record = self.kind(radius=self.support * edge)
-        more = math.ceil(record.max_neighbors * max(1.0, self.support / SUPPORT) ** 2)
-        blocks = [(replace(record, max_neighbors=more), _WEIGHT)] if colored or not self.kind.needs_colors else []
-        for each in zip(usual.descriptors, usual.weights, strict=True):
-            if (each[0].needs_colors and self.beside_color) or (isinstance(each[0], Fpfh) and self.beside_fpfh):
-                blocks.append(each)
+        blocks = [
+            each
+            for each in zip(usual.descriptors, usual.weights, strict=True)
+            if (each[0].needs_colors and self.beside_color) or (isinstance(each[0], Fpfh) and self.beside_fpfh)
+        ]
+        if colored or not self.kind.needs_colors:
+            record = self.kind(radius=self.support * edge)
+            more = round(record.max_neighbors * max(1.0, self.support / SUPPORT) ** 2)
+            blocks.append((replace(record, max_neighbors=more), _WEIGHT))
+        # poses are judged by the first of geometry and of color: the default's, where they are there
+        blocks.sort(key=lambda each: each[0].needs_colors)
         return replace(
             usual,
             descriptors=tuple(record for record, _ in blocks),

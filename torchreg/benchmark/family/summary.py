@@ -23,9 +23,9 @@ class FamilyScore(NamedTuple):
     recall: float  # share found by ``register``
     wrong: int  # pairs not found that are called a success
     refused: int  # pairs found that are not
-    describe_s: float | None  # median seconds of the descriptors, both clouds
-    match_s: float | None  # median seconds of one mutual match
-    seconds: float | None  # median of a pair
+    describe_s: float | None  # median processor seconds until both clouds are described
+    match_s: float | None  # median, of mutual matches and their pose
+    seconds: float | None  # median, from the thinned clouds to the pose
     megabytes: float | None  # median, of the features of both clouds
     brier: float  # mean square of probability less the truth, 0 or 1
     probability_right: float | None  # mean probability of pairs found
