@@ -20,7 +20,9 @@ from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh, fpfh
 from torchreg.descriptors.fuse import fuse
 from torchreg.descriptors.learned import Learned
+from torchreg.descriptors.local_frames import local_frames
 from torchreg.descriptors.pcfh import Pcfh, pcfh
+from torchreg.descriptors.shot import Cshot, Shot, cshot, shot
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
@@ -83,6 +85,7 @@ __all__ = [
     "CompatibilityOptions",
     "Contrast",
     "Correspondences",
+    "Cshot",
     "Descriptor",
     "Failure",
     "Features",
@@ -97,6 +100,7 @@ __all__ = [
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "Shot",
     "SiteResult",
     "SoftCorrespondences",
     "Solver",
@@ -107,6 +111,7 @@ __all__ = [
     "compatibility",
     "compiled_kernels",
     "contrast",
+    "cshot",
     "datasets",
     "derive_options",
     "estimate_normals",
@@ -120,6 +125,7 @@ __all__ = [
     "icp",
     "kabsch",
     "learning",
+    "local_frames",
     "match_mutual",
     "metrics",
     "native_kernels",
@@ -137,6 +143,7 @@ __all__ = [
     "register_features",
     "register_matches",
     "register_site",
+    "shot",
     "soft_equalize",
     "soft_match",
     "spacing",

@@ -8,6 +8,9 @@ from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.learned import Learned
 from torchreg.descriptors.pcfh import Pcfh
+from torchreg.descriptors.shot import Cshot, Shot
 
-DESCRIPTORS: dict[str, type[Descriptor]] = {record.name: record for record in (Fpfh, Pcfh, Contrast, Learned)}
+DESCRIPTORS: dict[str, type[Descriptor]] = {
+    record.name: record for record in (Fpfh, Pcfh, Contrast, Learned, Shot, Cshot)
+}
 """The descriptors of this package by name."""
