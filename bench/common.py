@@ -59,10 +59,10 @@ def save(name: str, content: dict[str, Any]) -> Path:
 def publish(block: str, text: str) -> None:
     """Replace what stands between ``<!-- begin: BLOCK -->`` and ``<!-- end: BLOCK -->``.
 
-    The block is in one of ``docs/benchmarks/*.md`` or in README.md, so that no number there is typed by hand.
+    The block is in one of ``docs/**/*.md`` or in README.md, so that no number there is typed by hand.
     """
     begin, end = f"<!-- begin: {block} -->", f"<!-- end: {block} -->"
-    pages = [page for page in (ROOT / "README.md", *sorted(DOCS.glob("benchmarks/*.md"))) if begin in page.read_text()]
+    pages = [page for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))) if begin in page.read_text()]
     if len(pages) != 1 or pages[0].read_text().count(end) != 1:
         raise SystemExit(f"expected one page with {begin} and {end}, got {len(pages)}")
     before, rest = pages[0].read_text().split(begin)

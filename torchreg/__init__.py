@@ -22,7 +22,11 @@ from torchreg.descriptors.fuse import fuse
 from torchreg.descriptors.learned import Learned
 from torchreg.descriptors.local_frames import local_frames
 from torchreg.descriptors.pcfh import Pcfh, pcfh
+from torchreg.descriptors.pfh import Pfh, pfh
+from torchreg.descriptors.pfhrgb import PfhRgb, pfhrgb
+from torchreg.descriptors.shape_context import ShapeContext, shape_context
 from torchreg.descriptors.shot import Cshot, Shot, cshot, shot
+from torchreg.descriptors.spin_images import SpinImages, spin_images
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.numerics.compiled import compiled_kernels
 from torchreg.geometry.se3 import transform
@@ -97,13 +101,17 @@ __all__ = [
     "Learned",
     "Neighborhoods",
     "Pcfh",
+    "Pfh",
+    "PfhRgb",
     "RansacOptions",
     "RegistrationOptions",
     "RegistrationResult",
+    "ShapeContext",
     "Shot",
     "SiteResult",
     "SoftCorrespondences",
     "Solver",
+    "SpinImages",
     "Verification",
     "__version__",
     "augment",
@@ -134,6 +142,8 @@ __all__ = [
     "nn",
     "options_for",
     "pcfh",
+    "pfh",
+    "pfhrgb",
     "random_downsample",
     "ransac",
     "read_cloud",
@@ -143,10 +153,12 @@ __all__ = [
     "register_features",
     "register_matches",
     "register_site",
+    "shape_context",
     "shot",
     "soft_equalize",
     "soft_match",
     "spacing",
+    "spin_images",
     "synthetic",
     "to_numpy",
     "to_open3d",

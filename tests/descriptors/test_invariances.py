@@ -1,12 +1,14 @@
 """What holds for every descriptor: order and unit do not matter, and nothing but the neighborhood shows."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from closeness import close
 from determinism import assert_batch_equals_loop, assert_nothing_shows, pieces, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import garbage_in_invalid_slots, oriented_room, sphere_cloud
+from problems import garbage_in_invalid_slots, oriented_room, random_transform, sphere_cloud
 
 import torchreg as tr
 
@@ -19,7 +21,21 @@ DESCRIPTORS = {
         cloud, near, channels=CHANNELS, saturation_weighting=True
     ),
     "contrast": tr.contrast,
+    "pfh": lambda cloud, near, radius: tr.pfh(cloud, near),
+    "pfhrgb": lambda cloud, near, radius: tr.pfhrgb(cloud, near),
+    "spin images": lambda cloud, near, radius: tr.spin_images(cloud, near),
+    "radial spin images of angles": lambda cloud, near, radius: tr.spin_images(
+        cloud, near, support_cosine=0.7, structure="radial", content="angles"
+    ),
+    # in 1 / m
+    "shape context": lambda cloud, near, radius: scaled(tr.shape_context(cloud, near), radius),
 }
+
+
+def scaled(features, factor):
+    return replace(features, values=features.values * factor)
+
+
 every_descriptor = pytest.mark.parametrize("describe", DESCRIPTORS.values(), ids=DESCRIPTORS)
 
 
@@ -33,6 +49,13 @@ def test_a_change_of_unit_changes_nothing(describe):
     feet = tr.Clouds(points=3.25 * cloud.points, colors=cloud.colors, normals=cloud.normals)
     expected = described(describe, cloud).values
     assert close(described(describe, feet, radius=0.6 * 3.25).values, expected, atol=1e-9)
+
+
+@every_descriptor
+def test_a_rigid_motion_changes_nothing(describe):
+    cloud = sphere_cloud(200)
+    moved = tr.transform(cloud, random_transform(torch.Generator().manual_seed(1)))
+    assert close(described(describe, moved).values, described(describe, cloud).values, atol=1e-8)
 
 
 @every_descriptor

@@ -26,6 +26,15 @@ def largest_entries(values: Tensor) -> Tensor:
     return values.detach().abs().amax(dim=1) if values.shape[1] > 0 else values.new_zeros(values.shape[0])
 
 
+def support_radius(near: Neighborhoods, like: Tensor) -> Tensor:
+    """The radius of every neighborhood (P, 1), in the dtype and on the device of ``like``; ``ValueError`` for none."""
+    if near.radius is None:
+        raise ValueError("near: expected neighborhoods whose radius is known, got None")
+    if isinstance(near.radius, Tensor):
+        return near.radius.to(like)[:, None]
+    return like.new_full((len(near), 1), near.radius)
+
+
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class Descriptor(ABC):

@@ -36,12 +36,18 @@ from torch import Tensor
 
 ANGLE_BINS = 11
 
-# f1 falls on one side of the edge phi between two bins as C / (|S| + |C|) falls on one side of this number,
-# where (C, S) points in the direction f1: a monotone stand-in for the angle, made of basic operations.
-ANGLE_EDGES = tuple(
-    math.cos(phi) / (abs(math.sin(phi)) + abs(math.cos(phi)))
-    for phi in (math.pi * odd / ANGLE_BINS for odd in range(1, ANGLE_BINS, 2))
-)
+
+def angle_edges(bins: int) -> tuple[float, ...]:
+    """Where an odd number of equal bins over (-pi, pi] end on the side of positive angles, from 0 on.
+
+    f1 falls on one side of the edge phi between two bins as C / (|S| + |C|) falls on one side of such a number, where
+    (C, S) points in the direction f1: a monotone stand-in for the angle, made of basic operations.
+    """
+    inner = (math.pi * odd / bins for odd in range(1, bins, 2))
+    return tuple(math.cos(phi) / (abs(math.sin(phi)) + abs(math.cos(phi))) for phi in inner)
+
+
+ANGLE_EDGES = angle_edges(ANGLE_BINS)
 
 
 class Oriented(NamedTuple):
@@ -95,8 +101,10 @@ def pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
     )
 
 
-def compact_pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
+def compact_pair_features(query: Oriented, neighbor: Oriented, *, exchange: bool = True) -> PairFeatures:
     """Pair features of query points (R, 1) and their neighbors (R, K).
+
+    Without ``exchange`` the query has the first place in every pair.
 
     Elementwise operations that round the same in every lane, so that chunking and threads leave the bits alone.
     Degenerate pairs give exact zeros. No gradients: this is the kernel of the hard histogram.
@@ -106,6 +114,7 @@ def compact_pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
     along = _dot(query[3:], (dx, dy, dz))  # n1.d
     change = _dot((gx, gy, gz), (dx, dy, dz))  # n2.d - n1.d
     swap = (along + along).add_(change).mul_(change).gt_(0)  # 1 or 0: lerp gives its ends exactly
+    swap = swap if exchange else torch.zeros_like(swap)
     nx, ny, nz = (torch.lerp(query[i], neighbor[i], swap) for i in (3, 4, 5))
     along += change * swap  # n.d
     sign = 1 - 2 * swap
@@ -128,18 +137,21 @@ def compact_pair_features(query: Oriented, neighbor: Oriented) -> PairFeatures:
     )
 
 
-def angle_bins(cosine: Tensor, sine: Tensor) -> Tensor:
-    """Bin 0..10 (int64) of the angle atan2(sine, cosine) in 11 equal bins over (-pi, pi]; (0, 0) is angle 0."""
+def angle_bins(cosine: Tensor, sine: Tensor, edges: tuple[float, ...] = ANGLE_EDGES) -> Tensor:
+    """Bin (int64) of the angle atan2(sine, cosine) in 11 equal bins over (-pi, pi]; (0, 0) is angle 0.
+
+    Other numbers of bins by other edges (``angle_edges``).
+    """
     ratio = cosine / (sine.abs() + cosine.abs())
     passed = torch.zeros_like(ratio)
-    for edge in ANGLE_EDGES:
+    for edge in edges:
         passed += ratio.clone().lt_(edge)
-    return torch.copysign(passed, sine).add_(ANGLE_BINS // 2).long()
+    return torch.copysign(passed, sine).add_(len(edges)).long()
 
 
-def unit_bins(value: Tensor) -> Tensor:
-    """Bin 0..10 (int64) of a value in [-1, 1] in 11 equal bins; 1 falls into the last."""
-    return ((value + 1) * ANGLE_BINS).mul_(0.5).floor_().clamp_(0, ANGLE_BINS - 1).long()
+def unit_bins(value: Tensor, bins: int = ANGLE_BINS) -> Tensor:
+    """Bin (int64) of a value in [-1, 1] in equal bins; 1 falls into the last."""
+    return ((value + 1) * bins).mul_(0.5).floor_().clamp_(0, bins - 1).long()
 
 
 _Vector = tuple[Tensor, ...]

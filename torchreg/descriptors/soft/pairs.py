@@ -65,14 +65,17 @@ class ArrangedPair(NamedTuple):
     decided: Tensor  # 1 where the direction of f1 has a length, too
 
 
-def arranged_pair(query: Oriented, neighbor: Oriented) -> ArrangedPair:
-    """Query points (R, 1) and their neighbors (R, K), arranged; by differentiable operations."""
+def arranged_pair(query: Oriented, neighbor: Oriented, *, exchange: bool = True) -> ArrangedPair:
+    """Query points (R, 1) and their neighbors (R, K), arranged; by differentiable operations.
+
+    Without ``exchange`` the query has the first place in every pair.
+    """
     dx, dy, dz = neighbor.x - query.x, neighbor.y - query.y, neighbor.z - query.z
     distance = _dot(dx, dy, dz, dx, dy, dz)
     apart = distinct(distance).to(distance.dtype)
     inverse = apart / (distance + (1 - apart)).sqrt()
     ux, uy, uz = dx * inverse, dy * inverse, dz * inverse
-    swap = _exchanged(query, neighbor).to(ux.dtype)  # lerp gives its ends exactly
+    swap = _exchanged(query, neighbor).to(ux.dtype) if exchange else torch.zeros_like(ux)  # lerp gives its ends exactly
     sign = 1 - 2 * swap
     gx, gy, gz = neighbor.nx - query.nx, neighbor.ny - query.ny, neighbor.nz - query.nz
     change = _dot(gx, gy, gz, ux, uy, uz)

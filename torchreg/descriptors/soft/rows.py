@@ -53,9 +53,11 @@ def by_rows(
     settings: Tensor | None = None,
     *,
     derivative: Derivative | None = None,
+    width: int | None = None,
 ) -> Tensor:
     """Rows (P, D) of a kernel over P neighborhoods of a ``table`` (P, C), a piece at a time.
 
+    ``width`` is how many numbers of a row the kernel works on at a time, by default the slots of a neighborhood.
     Neighbor ``weights`` (P, K) multiply the votes, and every row is handed the ``settings`` (E,). Gradients flow to all
     three, of any order (second ones through plain autograd, which keeps all intermediates); the first by
     ``derivative``, but by autograd where that is ``None`` or there are settings. The same bits for any pieces and
@@ -67,13 +69,19 @@ def by_rows(
     inputs = (table, weights, settings)
     given = [value for value in inputs if value is not None]
     if not derivative_wanted(*given) or any(map(transformed, given)):
-        return _whole(kernel, near, *inputs)
-    return _ByRows.call(kernel, derivative if settings is None else None, near, *inputs)
+        return _whole(kernel, near, width, *inputs)
+    return _ByRows.call(kernel, derivative if settings is None else None, near, width, *inputs)
 
 
-def _pieces(near: Neighborhoods, table: Tensor, weights: Tensor | None, settings: Tensor | None) -> Iterator[Piece]:
+def _cuts(near: Neighborhoods, width: int | None) -> Iterator[slice]:
+    return row_chunks(near.index.shape[0], near.max_neighbors if width is None else width)
+
+
+def _pieces(
+    near: Neighborhoods, width: int | None, table: Tensor, weights: Tensor | None, settings: Tensor | None
+) -> Iterator[Piece]:
     columns = [column.contiguous() for column in table.unbind(1)]
-    for rows in row_chunks(near.index.shape[0], near.max_neighbors):
+    for rows in _cuts(near, width):
         index = near.index[rows]
         yield Piece(
             tuple(column[rows, None] for column in columns),
@@ -89,10 +97,15 @@ def _votes(near: Neighborhoods, rows: slice, table: Tensor, weights: Tensor | No
 
 
 def _whole(
-    kernel: Kernel, near: Neighborhoods, table: Tensor, weights: Tensor | None, settings: Tensor | None
+    kernel: Kernel,
+    near: Neighborhoods,
+    width: int | None,
+    table: Tensor,
+    weights: Tensor | None,
+    settings: Tensor | None,
 ) -> Tensor:
     """The kernel by plain autograd."""
-    return torch.cat([kernel(piece) for piece in _pieces(near, table, weights, settings)] or [table[:, :0]])
+    return torch.cat([kernel(piece) for piece in _pieces(near, width, table, weights, settings)] or [table[:, :0]])
 
 
 class _ByRows(TensorFunction):
@@ -102,23 +115,24 @@ class _ByRows(TensorFunction):
         kernel: Kernel,
         derivative: Derivative | None,
         near: Neighborhoods,
+        width: int | None,
         table: Tensor,
         weights: Tensor | None,
         settings: Tensor | None,
     ) -> Tensor:
-        ctx.kernel, ctx.derivative, ctx.near = kernel, derivative, near
+        ctx.kernel, ctx.derivative, ctx.near, ctx.width = kernel, derivative, near, width
         ctx.save_for_backward(table, weights, settings)
-        return _whole(kernel, near, table, weights, settings)
+        return _whole(kernel, near, width, table, weights, settings)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[3:]
+        inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[4:]
         if torch.is_grad_enabled():  # a second derivative is wanted
-            out = _whole(ctx.kernel, ctx.near, *inputs)
+            out = _whole(ctx.kernel, ctx.near, ctx.width, *inputs)
             asked = [value for value, needed in zip(inputs, wanted, strict=True) if needed]
             gradients = iter(torch.autograd.grad(out, asked, grads[0], create_graph=True))
-            return None, None, None, *(next(gradients) if needed else None for needed in wanted)
-        return None, None, None, *_backward_by_pieces(ctx, inputs, wanted, grads[0])
+            return None, None, None, None, *(next(gradients) if needed else None for needed in wanted)
+        return None, None, None, None, *_backward_by_pieces(ctx, inputs, wanted, grads[0])
 
 
 def _backward_by_pieces(
@@ -131,7 +145,7 @@ def _backward_by_pieces(
     queries, neighbors = (table.new_zeros(table.shape[1], len(table)) for _ in range(2))
     of_weights = torch.empty_like(weights) if wanted[1] and weights is not None else None
     of_settings = settings.new_empty(settings.shape) if wanted[2] and settings is not None else None
-    cuts, pieces = row_chunks(len(ctx.near), ctx.near.max_neighbors), _pieces(ctx.near, *inputs)
+    cuts, pieces = _cuts(ctx.near, ctx.width), _pieces(ctx.near, ctx.width, *inputs)
     for rows, piece in zip(cuts, pieces, strict=True):
         if ctx.derivative is not None:
             of_piece, shared = ctx.derivative(piece, grad[rows]), None
