@@ -15,7 +15,7 @@ from torchreg.benchmark.family.document import document, scores, tables
 from torchreg.benchmark.family.fusions import DEFAULT, FPFH, WIDE, chosen_fusions, fusions
 from torchreg.benchmark.family.pairs import chosen_pairs, thin_pair
 from torchreg.benchmark.family.study import FamilyOptions, family_study
-from torchreg.benchmark.family.summary import FIGURES, difference, found, found_plain, score
+from torchreg.benchmark.family.summary import FIGURES, difference, found, found_closely, found_plain, score
 from torchreg.descriptors import DESCRIPTORS
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.registration import options_for
@@ -166,27 +166,32 @@ def row(pair, fusion="fpfh", scene="s", **more):
     return {"pair": pair, "fusion": fusion, "scene": scene, **usual, **more}
 
 
-def test_found_is_within_five_degrees_and_six_voxels():
+def test_found_is_within_fifteen_degrees_and_six_voxels():
     assert found(row("1"))
-    assert not found(row("1", rre_deg=5.0))
+    assert not found(row("1", rre_deg=15.0))
+    assert found(row("1", rre_deg=5.0))
+    assert not found_closely(row("1", rre_deg=5.0))
+    assert found_closely(row("1", rre_deg=4.9))
+    assert not found_closely(row("1", rte_m=0.301))
     assert not found(row("1", rte_m=0.301))
     assert found(row("1", rte_m=0.299))
     assert not found(row("1", rre_deg=None))
-    assert found(row("1", plain_rre_deg=9.0))
-    assert not found_plain(row("1", plain_rre_deg=9.0))
+    assert found(row("1", plain_rre_deg=19.0))
+    assert not found_plain(row("1", plain_rre_deg=19.0))
 
 
 def test_figures_are_those_by_hand():
     rows = [
         row("1"),
         row("2", rre_deg=90.0, probability=0.75, inlier_ratio=0.05),  # wrong, called a success
-        row("3", success=False, probability=0.5, seconds=3.0),  # right, refused
+        row("3", success=False, probability=0.5, seconds=3.0, rre_deg=9.0),  # right, refused
         row("4", rre_deg=90.0, success=False, probability=0.25, plain_rre_deg=None, dimensions=None, bytes=None),
     ]
     cell = score(rows)
     assert (cell.pairs, cell.recall, cell.plain_recall, cell.match_recall) == (4, 0.5, 0.75, 0.75)
     assert (cell.wrong, cell.refused, cell.errors, cell.dimensions, cell.megabytes) == (1, 1, 0, 33, 2.0)
     assert cell.brier == pytest.approx((0.75**2 + 0.5**2 + 0.25**2) / 4)
+    assert cell.close_recall == 0.25
     assert (cell.probability_right, cell.probability_wrong) == (0.75, 0.5)
     assert cell.seconds == 1.0
     assert score(rows[:1]).probability_wrong is None

@@ -9,8 +9,8 @@ from torchreg.benchmark.core.rows import Row
 from torchreg.benchmark.core.tables import Table, csv_table
 from torchreg.benchmark.family.fusions import BASES, DEFAULT, FPFH, SUPPORT, WIDE, Fusion
 from torchreg.benchmark.family.summary import FIGURES, FamilyScore, difference, found, score
-from torchreg.benchmark.field.summary import LEAST_INLIER_RATIO, MATCH_VOXELS
-from torchreg.benchmark.site.judge import DEGREES, VOXELS
+from torchreg.benchmark.field.summary import LEAST_INLIER_RATIO, MATCH_VOXELS, ROTATION, TRANSLATION_VOXELS
+from torchreg.benchmark.site.judge import DEGREES
 
 TITLE = "The family of descriptors"
 
@@ -20,8 +20,9 @@ CAPTION = (
     "histograms. All with the library's options of each descriptor, and solved alike.\n\n"
     f"All but counts, seconds and MB are in percent. Inliers: mean share of mutual matches within {MATCH_VOXELS:g} v "
     f"under the truth. Matched: pairs with more than {100 * LEAST_INLIER_RATIO:g} % of these (feature-match recall). "
-    f"Plain: pairs found (within {DEGREES:g} degrees and {VOXELS:g} v) by the pose that most matches agree on. Found: "
-    "by all that `register` does. Wrong: pairs not found that it calls a success.\n\n"
+    f"Plain: pairs found (within {ROTATION:g} degrees and {TRANSLATION_VOXELS:g} v) by the pose that most matches "
+    f"agree on. Found: by all that `register` does; close: within {DEGREES:g} degrees. Wrong: pairs not found that it "
+    "calls a success.\n\n"
     "Cost: numbers of a feature; median processor seconds until both clouds are described, of mutual matches and their "
     "pose, and of the whole pair; MB of the features of both clouds. Verdicts: mean square of the stated probability "
     "less the truth (Brier), and its mean over pairs found and not found.\n\n"
@@ -187,6 +188,7 @@ _SHARES: tuple[_Column, ...] = (
     ("matched", lambda cell: _percent(cell.match_recall)),
     ("plain", lambda cell: _percent(cell.plain_recall)),
     ("found", lambda cell: _percent(cell.recall)),
+    ("close", lambda cell: _percent(cell.close_recall)),
     ("wrong", lambda cell: str(cell.wrong)),
 )
 _COST: tuple[_Column, ...] = (

@@ -59,7 +59,7 @@ def family(
 ) -> None:
     """Measure every descriptor of the library alone, and fused with FPFH and with color, on real pairs.
 
-    Inlier ratio, feature-match recall, registration recall (5 degrees, 6 voxels) by matches alone and by all that
+    Inlier ratio, feature-match recall, registration recall (15 degrees, 6 voxels) by matches alone and by all that
     register does, wrong successes, seconds, numbers of a feature and memory; paired differences from FPFH alone and
     from the default, with 95 % intervals over scenes; every measure by scene. --real, --hard or both are needed.
     --quick takes the pair of either list that overlaps most, with few points.
