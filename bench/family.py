@@ -31,9 +31,10 @@ def main() -> None:
     save("family", {"machine": whole["machine"], "run": run, "cells": scores(rows, fusions, run["seed"])})
     taken = "Every pair of both lists" if run["every"] == 1 else f"One pair in {run['every']} of either list"
     most = "" if run["points"] is None else f", thinned to {run['points']:,} points a cloud at most"
+    how = "" if run["effort"] == "balanced" else "; poses by matches alone"
     if not arguments.no_docs:
         text = sections(rows, fusions, run["seed"]).replace("\n## ", "\n### ")
-        publish("family", f"{taken}{most}.\n\n{text}\n\n{in_words(whole['machine'])}.")
+        publish("family", f"{taken}{most}{how}.\n\n{text}\n\n{in_words(whole['machine'])}.")
 
 
 if __name__ == "__main__":

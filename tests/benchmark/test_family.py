@@ -13,6 +13,7 @@ from torchreg.benchmark.core.real_pairs import read_real_pairs
 from torchreg.benchmark.core.study import run_study
 from torchreg.benchmark.family.document import document, scores, tables
 from torchreg.benchmark.family.fusions import DEFAULT, FPFH, WIDE, chosen_fusions, fusions
+from torchreg.benchmark.family.measure import EFFORTS
 from torchreg.benchmark.family.pairs import chosen_pairs, thin_pair
 from torchreg.benchmark.family.study import FamilyOptions, family_study
 from torchreg.benchmark.family.summary import FIGURES, difference, found, found_closely, found_plain, score
@@ -130,10 +131,12 @@ def test_a_row_has_the_figures_of_register(data, tmp_path):
         pair = next(each for each in read_real_pairs(data) if each.name == name)
         thin = thin_pair(pair)
         options = next(each for each in fusions() if each.name == fusion).options(thin.edge, colored=thin.colored)
+        results = {effort: tr.register(thin.source, thin.target, options, effort=effort) for effort in EFFORTS}
         for prefix, effort in (("", "balanced"), ("plain_", "plain")):
-            result = tr.register(thin.source, thin.target, options, effort=effort)
+            result = results[effort]
             error = float(tr.metrics.rre(pair.T_target_source, result.T_target_source[0]))
             assert row[f"{prefix}rre_deg"] == pytest.approx(error, abs=1e-9)
+        assert row["probability"] == float(results["balanced"].probability[0])
         assert row["error"] == ""
         assert 0 < row["describe_s"] < row["seconds"]
         assert row["bytes"] == 4 * row["dimensions"] * sum(row["points"])
@@ -146,6 +149,17 @@ def test_a_row_has_the_figures_of_register(data, tmp_path):
     again = []
     run_study(study, tmp_path / "out", again.append)
     assert again == []
+
+
+def test_matches_alone_decide_where_that_is_asked(data, tmp_path):
+    study = family_study(FamilyOptions(real=data, fusions=["pcfh"], quick=True, effort="plain"))
+    rows = run_study(study, tmp_path / "out")
+    assert all((row["rre_deg"], row["rte_m"]) == (row["plain_rre_deg"], row["plain_rte_m"]) for row in rows)
+    assert {row["probability"] for row in rows} == {None}
+    assert score(rows).brier is None
+    assert "Verdicts" not in (tmp_path / "out" / "family.md").read_text()
+    with refuses("effort", "plain"):
+        family_study(FamilyOptions(real=data, effort="much"))
 
 
 def test_a_descriptor_that_fails_has_found_nothing(data, tmp_path, monkeypatch):

@@ -23,9 +23,10 @@ CAPTION = (
     f"Plain: pairs found (within {ROTATION:g} degrees and {TRANSLATION_VOXELS:g} v) by the pose that most matches "
     f"agree on. Found: by all that `register` does; close: within {DEGREES:g} degrees. Wrong: pairs not found that it "
     "calls a success.\n\n"
-    "Cost: numbers of a feature; median processor seconds until both clouds are described, of mutual matches and their "
-    "pose, and of the whole pair; MB of the features of both clouds. Verdicts: mean square of the stated probability "
-    "less the truth (Brier), and its mean over pairs found and not found.\n\n"
+    "Cost: numbers of a feature; median processor seconds of the descriptors of both clouds, of mutual matches and "
+    "their pose, and of the whole pair without neighborhoods and normals, which all share; MB of the features of both "
+    "clouds. Verdicts: mean square of the stated probability less the truth (Brier), and its mean over pairs found "
+    "and not found.\n\n"
     "Differences are in percent points, pair by pair; in brackets 95 % of 10,000 bootstrap samples of whole scenes."
 )
 
@@ -60,7 +61,8 @@ def tables(rows: Sequence[Row], fusions: Sequence[Fusion], seed: int = 0) -> lis
             made += [_differences(f"Pairs {words}: less {base.name}", part, names, base, seed) for base in bases]
     names = [fusion.name for fusion in fusions]
     made.append(_figures("Cost", rows, names, _COST))
-    made.append(_figures("Verdicts", rows, names, _VERDICTS))
+    if any(row["probability"] is not None for row in rows):
+        made.append(_figures("Verdicts", rows, names, _VERDICTS))
     for of_list in dict.fromkeys(row["list"] for row in rows):
         part = [row for row in rows if row["list"] == of_list]
         scenes = list(dict.fromkeys(row["scene"] for row in part))
@@ -203,7 +205,7 @@ _VERDICTS: tuple[_Column, ...] = (
     ("pairs", lambda cell: str(cell.pairs)),
     ("wrong", lambda cell: str(cell.wrong)),
     ("refused", lambda cell: str(cell.refused)),
-    ("Brier", lambda cell: f"{cell.brier:.3f}"),
+    ("Brier", lambda cell: _known(cell.brier, 3)),
     ("p, found", lambda cell: _known(cell.probability_right, 2)),
     ("p, not", lambda cell: _known(cell.probability_wrong, 2)),
 )

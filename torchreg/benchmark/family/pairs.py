@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,4 +90,6 @@ def thin_pair(pair: RealPair, most: int | None = None) -> ThinPair:
         edge *= _MARGIN * math.sqrt(points / most)
         source, target = (voxel_downsample(cloud, edge) for cloud in given)
     colored = pair.colored and source.colors is not None and target.colors is not None
+    if not colored:
+        source, target = (replace(cloud, colors=None) for cloud in (source, target))
     return ThinPair(source, target, edge, colored)

@@ -12,10 +12,10 @@ from torchreg.benchmark.core.study import Cell, Study
 from torchreg.benchmark.core.tables import Table
 from torchreg.benchmark.family.document import csv_text, document, tables
 from torchreg.benchmark.family.fusions import Fusion, chosen_fusions
-from torchreg.benchmark.family.measure import Measurement
+from torchreg.benchmark.family.measure import EFFORTS, Measurement
 from torchreg.benchmark.family.pairs import chosen_pairs
 from torchreg.benchmark.field.study import list_digest
-from torchreg.errors import at_least, expect
+from torchreg.errors import at_least, expect, one_of
 
 _QUICK_POINTS = 800
 
@@ -29,6 +29,7 @@ class FamilyOptions:
     fusions: Sequence[str] | None = None  # their names; ``None`` takes all
     scenes: Sequence[str] | None = None  # whose pairs are taken; ``None`` takes all
     every: int = 1  # of every list, the first pair and every so many-th after it
+    effort: str = "balanced"  # or "plain": poses by matches alone, a fraction of the time
     points: int | None = None  # the most of a cloud; clouds of more are averaged over wider voxels
     quick: bool = False  # the pair of either list that overlaps most, of few points
     seed: int = 0  # of every random draw and of the intervals
@@ -42,12 +43,13 @@ def family_study(options: FamilyOptions) -> Study:
         ValueError: no list, or a name that no fusion or no scene has.
     """
     at_least(options.every, "every", 1)
+    one_of(options.effort, "effort", EFFORTS)
     expect(options.scenes is None or len(options.scenes) > 0, "scenes", "at least one", options.scenes)
     lists = (("real", options.real), ("hard", options.hard))
     pairs = chosen_pairs(lists, every=options.every, scenes=options.scenes, quick=options.quick)
     fusions = chosen_fusions(options.fusions)
     points = _QUICK_POINTS if options.quick else options.points
-    measured = Measurement(pairs, points=points, seed=options.seed)
+    measured = Measurement(pairs, points=points, effort=options.effort, seed=options.seed)
     return Study(
         name="family",
         cells=[
@@ -58,7 +60,7 @@ def family_study(options: FamilyOptions) -> Study:
         ],
         settings={
             **{name: None if path is None else list_digest(path) for name, path in lists},
-            **{"points": points, "seed": options.seed},
+            **{"points": points, "effort": options.effort, "seed": options.seed},
         },
         run={"fusions": [fusion.name for fusion in fusions], "every": options.every, "quick": options.quick},
         document=lambda rows, _, machine: document(rows, fusions, machine, options.seed),

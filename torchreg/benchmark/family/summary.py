@@ -28,7 +28,7 @@ class FamilyScore(NamedTuple):
     match_s: float | None  # median, of mutual matches and their pose
     seconds: float | None  # median, from the thinned clouds to the pose
     megabytes: float | None  # median, of the features of both clouds
-    brier: float  # mean square of probability less the truth, 0 or 1
+    brier: float | None  # mean square of probability less the truth, 0 or 1
     probability_right: float | None  # mean probability of pairs found
     probability_wrong: float | None  # of pairs not found
     errors: int  # pairs that ended with an exception
@@ -57,6 +57,7 @@ def score(rows: Sequence[Row]) -> FamilyScore:
     """The rows of one fusion, at least one."""
     right = [row for row in rows if found(row)]
     wrong = [row for row in rows if not found(row)]
+    judged = [row for row in rows if row["probability"] is not None]
     sizes = [row["dimensions"] for row in rows if row["dimensions"] is not None]
     size = _median(row["bytes"] for row in rows)
     return FamilyScore(
@@ -73,9 +74,9 @@ def score(rows: Sequence[Row]) -> FamilyScore:
         match_s=_median(row["match_s"] for row in rows),
         seconds=_median(row["seconds"] for row in rows),
         megabytes=None if size is None else size / 1e6,
-        brier=statistics.fmean((row["probability"] - found(row)) ** 2 for row in rows),
-        probability_right=_mean([row["probability"] for row in right]),
-        probability_wrong=_mean([row["probability"] for row in wrong]),
+        brier=_mean((row["probability"] - found(row)) ** 2 for row in judged),
+        probability_right=_mean(row["probability"] for row in judged if found(row)),
+        probability_wrong=_mean(row["probability"] for row in judged if not found(row)),
         errors=sum(bool(row["error"]) for row in rows),
     )
 
@@ -88,7 +89,6 @@ FIGURES: dict[str, Figure] = {
     "plain": found_plain,
     "recall": found,
     "close": found_closely,
-    "brier": lambda row: (row["probability"] - found(row)) ** 2,
 }
 """What is compared pair by pair."""
 
@@ -111,5 +111,6 @@ def _median(values: Iterable[float | None]) -> float | None:
     return statistics.median(known) if known else None
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return statistics.fmean(values) if values else None
+def _mean(values: Iterable[float]) -> float | None:
+    known = list(values)
+    return statistics.fmean(known) if known else None

@@ -45,12 +45,23 @@ MostPoints = Annotated[
 ]
 
 
+FamilyEffort = Annotated[
+    str,
+    typer.Option(
+        "--effort",
+        metavar="NAME",
+        help="balanced, as register by default; or plain: poses by matches alone, in a fraction of the time.",
+    ),
+]
+
+
 def family(
     out: Out = Path("torchreg_family"),
     real: RealPairs = None,
     hard: HardPairs = None,
     fusions: Fusions = None,
     scenes: FamilyScenes = None,
+    effort: FamilyEffort = "balanced",
     every: Every = 1,
     points: MostPoints = None,
     quick: Quick = False,
@@ -75,6 +86,7 @@ def family(
         hard=hard,
         fusions=names_in(fusions),
         scenes=names_in(scenes),
+        effort=effort,
         every=every,
         points=points,
         quick=quick,
