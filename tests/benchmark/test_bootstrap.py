@@ -5,7 +5,7 @@ import pytest
 import torch
 from refusals import refuses
 
-from torchreg.benchmark.core.bootstrap import bootstrap, mean, median
+from torchreg.benchmark.core.bootstrap import bootstrap, bootstrap_of_groups, mean, median
 
 
 def normal(count, seed):
@@ -50,7 +50,29 @@ def test_the_same_seed_the_same_bits():
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
+def test_groups_of_one_are_pairs():
+    values = normal(25, 1)
+    assert bootstrap_of_groups(values, range(25), seed=2) == pytest.approx(bootstrap(values, seed=2))
+
+
+def test_pairs_of_a_group_count_as_the_group():
+    """Every pair told four times: the interval over groups stays as wide, that over pairs halves."""
+    values = normal(30, 2)
+    often, groups = values * 4, list(range(30)) * 4
+    once, repeated = bootstrap(values), bootstrap_of_groups(often, groups)
+    assert (repeated.value, repeated.low, repeated.high) == pytest.approx(once)
+    plain = bootstrap(often)
+    assert plain.high - plain.low == pytest.approx((once.high - once.low) / 2, rel=0.05)
+
+
+def test_large_groups_weigh_as_many_pairs():
+    found = bootstrap_of_groups([1.0, 1.0, 1.0, 0.0], "aaab")
+    assert (found.value, found.low, found.high) == (0.75, 0.0, 1.0)
+
+
 def test_refused():
+    with refuses("groups", "one per value"):
+        bootstrap_of_groups([1.0, 2.0], ["a"])
     with refuses("values", "at least one"):
         bootstrap([])
     with refuses("level", "below 1"):

@@ -19,7 +19,7 @@ from torchreg.cli import app as app_module
 UNITS = "METERS|MODULE|COUNT|NAME|PATH|FOLDER|NUMBER|from 1 to 5|Where to compute"
 
 
-@pytest.mark.parametrize("name", ["field", "3dmatch", "features", "site", "paper", "speed"])
+@pytest.mark.parametrize("name", ["field", "3dmatch", "features", "site", "paper", "speed", "family"])
 def test_every_option_names_its_unit(run, name):
     command = typer.main.get_command(app_module.app).commands["bench"].commands[name]
     for parameter in command.params:
@@ -91,6 +91,25 @@ def test_features(run, tmp_path, monkeypatch):
     unknown = run("bench", "features", "heights_of_points:nothing", *words)
     assert unknown.exit_code == 2
     assert "adapter: expected a callable that can be imported" in unknown.stderr
+
+
+def test_family(run, tmp_path):
+    (tmp_path / "data").mkdir()
+    data = project(tmp_path / "data")
+    words = ("bench", "family", "--real", data, "--out", tmp_path / "out", "--fusions", "contrast", "--quick")
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    assert "Pairs with colors: 1 of 1 scenes" in result.stdout
+    assert "3 of 3: real/pair_0, fpfh+color" in result.stderr
+    text = (tmp_path / "out" / "family.md").read_text()
+    assert "| contrast | 1 |" in text
+    assert "Found, real pairs: a hall (1)" in text
+    assert "pair_0" not in run(*words).stderr
+    assert run(*words, "--points", "500").exit_code == 0  # a quick run has its own number of points
+    assert run(*words, "--seed", "1").exit_code == 2
+    assert "fpfh+color/root" in run(*words[:-2], "best").stderr
+    assert run(*words, "--hard", tmp_path / "no.json").exit_code == 2
+    assert run("bench", "family", "--out", tmp_path / "out").exit_code == 2
 
 
 @pytest.mark.parametrize("name", ["field", "3dmatch"])
