@@ -23,7 +23,7 @@ def real_cloud(name):
         pytest.skip("no real pairs beside the checkout")
     pairs = json.loads((REAL / "pairs.json").read_text())["pairs"]
     voxel = next(pair["voxel_m"] for pair in pairs if name in (pair["source"], pair["target"]))
-    cloud = tr.voxel_downsample(tr.read_cloud(REAL / name, dtype=torch.float64), voxel)
+    cloud = tr.voxel_downsample(tr.read_cloud(REAL / name), voxel)
     return tr.estimate_normals(cloud, tr.neighbors(cloud, 2 * voxel, 30)), 5 * voxel
 
 

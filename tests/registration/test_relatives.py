@@ -20,8 +20,8 @@ def test_a_pair_is_registered_by_them(kinds):
     records = tuple(kind(radius=5 * spacing, max_neighbors=60) for kind in kinds)
     options = replace(tr.options_for(spacing), descriptors=records, weights=None, effort="fast")
     result = tr.register(pair.source, pair.target, options)
-    assert result.success.tolist() == [True], result.reason
     assert float(tr.metrics.rre(pair.T_target_source, result.T_target_source)) < 2
+    assert float(result.probability) > 0.5, result.reason
 
 
 @pytest.mark.parametrize("kind", RELATIVES)
