@@ -26,9 +26,7 @@ import torchreg as tr
 VALUES = ROOT / "tests" / "descriptors" / "pcl"
 COUNT = 10_000
 SCAN = "redkitchen/frag_06.ply"
-VOXEL, NEIGHBORS, RUNS = 0.025, 1024, 3
-CLOCKS = {1: time.process_time, 2: time.perf_counter}
-"""By the number of threads: of one the time that it worked, which other programs do not lengthen."""
+VOXEL, NEIGHBORS = 0.025, 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +39,6 @@ class Compared:
         ours: values (P, size) from a cloud, its neighborhoods and what the program wrote before the values (P, extra).
         options: of the program.
         extra: numbers that the program writes before the values of a row.
-        threaded: whether the program takes more than one thread.
         unit: what the values are, for the table.
     """
 
@@ -50,7 +47,6 @@ class Compared:
     ours: Callable[[tr.Clouds, tr.Neighborhoods, Tensor], Tensor]
     options: tuple[str, ...] = ()
     extra: int = 0
-    threaded: bool = False
     unit: str = "%"
 
 
@@ -134,11 +130,12 @@ def main() -> None:
     parser.add_argument("what", nargs="?", choices=("tables", "values"), default="tables")
     parser.add_argument("--programs", type=Path, default=ROOT / "build" / "reference", help="where they were built")
     parser.add_argument("--only", nargs="+", choices=tuple(COMPARED), default=tuple(COMPARED), help="these descriptors")
+    parser.add_argument("--runs", type=int, default=3, help="of each, of which the fastest counts")
     words = parser.parse_args()
     if words.what == "values":
         write_values(words.programs, words.only)
     else:
-        write_tables(words.programs, words.only, documents=not words.no_docs)
+        write_tables(words.programs, words.only, words.runs, documents=not words.no_docs)
 
 
 def write_values(programs: Path, only: tuple[str, ...]) -> None:
@@ -241,7 +238,7 @@ def real_cloud() -> tr.Clouds:
     return tr.Clouds(points=cloud.points, normals=cloud.normals, colors=(cloud.colors * 255).round() / 255)
 
 
-def write_tables(programs: Path, only: tuple[str, ...], *, documents: bool) -> None:
+def write_tables(programs: Path, only: tuple[str, ...], runs: int, *, documents: bool) -> None:
     radius = 5 * VOXEL
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cloud.txt"
@@ -252,14 +249,13 @@ def write_tables(programs: Path, only: tuple[str, ...], *, documents: bool) -> N
         results: dict[str, Any] = {}
         for name in only:
             compared = COMPARED[name]
-            theirs = run_pcl(programs, compared, path, radius, runs=RUNS)
+            theirs = run_pcl(programs, compared, path, radius, runs=runs)
             ours = compared.ours(cloud, near, theirs.extra)
-            times: dict[str, dict[str, float]] = {"PCL": {"1": min(theirs.processor)}, "torchreg": {}}
-            if compared.threaded:
-                times["PCL"]["2"] = min(run_pcl(programs, compared, path, radius, threads=2, runs=RUNS).seconds)
-            for threads, clock in CLOCKS.items():
-                times["torchreg"][str(threads)] = our_seconds(compared, cloud, radius, theirs.extra, threads, clock)
-            results[name] = {"unit": compared.unit, **differences(ours, theirs.values), "seconds": times}
+            times = {
+                "PCL": min(theirs.processor),
+                "torchreg": our_seconds(compared, cloud, radius, theirs.extra, runs),
+            }
+            results[name] = {"unit": compared.unit, **differences(ours, theirs.values), "processor seconds": times}
             print(name, results[name], flush=True)
     content = {
         "scan": SCAN,
@@ -275,21 +271,19 @@ def write_tables(programs: Path, only: tuple[str, ...], *, documents: bool) -> N
         publish("family parity", in_table(content))
 
 
-def our_seconds(
-    compared: Compared, cloud: tr.Clouds, radius: float, extra: Tensor, threads: int, clock: Callable[[], float]
-) -> float:
-    """Seconds of search and descriptor, as PCL's times hold both; the least of some runs."""
+def our_seconds(compared: Compared, cloud: tr.Clouds, radius: float, extra: Tensor, runs: int) -> float:
+    """Processor seconds of search and descriptor on one thread, as PCL's hold both; the least of some runs."""
 
     def run() -> float:
-        begin = clock()
+        begin = time.process_time()
         compared.ours(cloud, tr.neighbors(cloud, radius, NEIGHBORS).trimmed(), extra)
-        return clock() - begin
+        return time.process_time() - begin
 
     before = torch.get_num_threads()
-    torch.set_num_threads(threads)
+    torch.set_num_threads(1)
     try:
         run()
-        return min(run() for _ in range(RUNS))
+        return min(run() for _ in range(runs))
     finally:
         torch.set_num_threads(before)
 
@@ -298,9 +292,7 @@ def in_table(content: dict[str, Any]) -> str:
     """The table of the document."""
     rows = []
     for name, result in content["descriptors"].items():
-        seconds = result["seconds"]
-        theirs = [f"{seconds['PCL'][key]:.2f} s" if key in seconds["PCL"] else "-" for key in ("1", "2")]
-        ours = [f"{seconds['torchreg'][str(threads)]:.2f} s" for threads in CLOCKS]
+        seconds = result["processor seconds"]
         rows.append(
             [
                 name,
@@ -308,12 +300,11 @@ def in_table(content: dict[str, Any]) -> str:
                 f"{result['within 1e-4']:.2%}",
                 f"{result['median']:.0e}",
                 f"{result['largest']:.1e}",
-                *theirs,
-                *ours,
+                f"{seconds['PCL']:.2f} s",
+                f"{seconds['torchreg']:.2f} s",
             ]
         )
-    heads = ["descriptor", "numbers", "rows within 1e-4", "median gap", "largest gap"]
-    heads += ["PCL", "PCL, 2 threads", "torchreg", "torchreg, 2 threads"]
+    heads = ["descriptor", "numbers", "rows within 1e-4", "median gap", "largest gap", "PCL", "torchreg"]
     near = content["neighbors"]
     text = (
         f"{content['points']:,} points of {content['scan']} at {content['voxel_m']} m, radius {content['radius_m']} m: "

@@ -171,6 +171,10 @@ STAGES: dict[str, Stage] = {
     "unique_shape_context": Stage(
         run=lambda g: tr.unique_shape_context(g.oriented, g.near), transfers=4, atol=1e-2, share=0.02
     ),
+    "pfh": Stage(run=lambda g: tr.pfh(g.oriented, g.near), transfers=3, atol=1e-2, share=0.02),
+    "pfhrgb": Stage(run=lambda g: tr.pfhrgb(g.oriented, g.near), transfers=4, atol=1e-2, share=0.02),
+    "spin_images": Stage(run=lambda g: tr.spin_images(g.oriented, g.near), transfers=2, atol=1e-5),
+    "shape_context": Stage(run=lambda g: tr.shape_context(g.oriented, g.near), transfers=4, atol=1e-2, share=0.02),
     "learned": Stage(
         run=lambda g: tr.Learned(radius=RADIUS, max_neighbors=60).describe(g.oriented, g.near), transfers=8, atol=1e-4
     ),

@@ -164,7 +164,7 @@ def test_functions_of_tensors_go_through_transforms():
     assert torch.allclose(torch.func.jacrev(moved)(source[0]), plain.grad, atol=1e-12)
 
 
-@pytest.mark.parametrize("describe", ["fpfh", "pcfh"])
+@pytest.mark.parametrize("describe", ["fpfh", "pcfh", "pfh", "pfhrgb", "shape_context"])
 def test_soft_descriptors_go_through_transforms(describe):
     cloud = replace(GIVEN.oriented.to(dtype=torch.float64))
 

@@ -63,7 +63,7 @@ def test_derivatives_are_true(options):
     cloud = small()
     near = tr.neighbors(cloud, 3.0, FEW)
     points, normals, _, _ = leaves(cloud, near)
-    options = {**options, "width": 2}
+    options = {**options, "width": 2}  # few numbers to compare
 
     def function(points, normals):
         return tr.spin_images(tr.Clouds(points=points, normals=normals), near, **options).values

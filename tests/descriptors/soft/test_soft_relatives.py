@@ -5,7 +5,7 @@ import torch
 from closeness import close
 from determinism import assert_nothing_shows, same_bits
 from gradients import FEW, TROUBLE, assert_derivatives, finite_gradients, leaves, small
-from problems import garbage_in_invalid_slots, oriented_room, sphere_cloud
+from problems import garbage_in_invalid_slots, numbers, oriented_room, sphere_cloud
 
 import torchreg as tr
 
@@ -26,9 +26,19 @@ def of_leaves(describe, near, **options):
     return function
 
 
+def mixed(function, width=4):
+    """A few sums of the values by random weights: fewer derivatives to compare, and none left out."""
+
+    def of_inputs(*inputs):
+        values = function(*inputs)
+        return values @ numbers(values.shape[1], width, seed=3).to(values)
+
+    return of_inputs
+
+
 @every_one
 def test_a_narrow_bandwidth_gives_the_hard_histogram(describe):
-    cloud = sphere_cloud(200)
+    cloud = sphere_cloud(100)
     near = tr.neighbors(cloud, 0.7, 30)
     hard, narrow = describe(cloud, near), describe(cloud, near, binning="soft", bandwidth=1e-9)
     assert close(hard.values / hard.values.max(), narrow.values / hard.values.max(), atol=1e-5)
@@ -48,7 +58,7 @@ def test_every_half_keeps_its_sum(describe):
 def test_derivatives_are_true(describe, options):
     cloud = small()
     near = tr.neighbors(cloud, 3.0, FEW)
-    assert_derivatives(of_leaves(describe, near, **options), leaves(cloud, near)[:3])
+    assert_derivatives(mixed(of_leaves(describe, near, **options)), leaves(cloud, near)[:3])
 
 
 @every_one
