@@ -169,7 +169,7 @@ def test_features_that_would_spoil_others_are_refused(spoiled):
             return replace(features, values=values, valid=valid)
 
     pair = room_pair(300)
-    with refuses("Spoiled.describe", "finite rows"):
+    with refuses("Spoiled.describe", "rows of finite numbers"):
         tr.register(pair.source, pair.target, options_with(0.2, Spoiled(radius=0.8)))
 
 
