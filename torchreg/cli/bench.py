@@ -196,7 +196,7 @@ def field(data: Data, run: ComparisonRun, out: Out = Path("torchreg_field")) -> 
 
     Registration recall by errors and by RMSE, feature-match recall, inlier ratio, RRE in degrees, RTE in meters and
     seconds, by scene and by overlap, with 95 % intervals over the pairs. All methods get the same clouds and lengths.
-    A method whose package is not installed is listed as such. --quick takes the pair of every scene that overlaps most.
+    A method whose package is not installed is listed as such. --quick takes the pair that overlaps most of each of the first two scenes.
 
     Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
@@ -220,7 +220,7 @@ def threedmatch(
     Fragments are cloud_bin_0.ply, ... (in ETH scenes Hokuyo_0.ply, ...) in one folder per scene, gt.log and gt.info in
     it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that are
     not consecutive, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
-    --quick takes the first pair of every scene that counts.
+    --quick takes the first pair that counts of each of two scenes.
 
     Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
@@ -248,7 +248,7 @@ def features(
     features, or matches (M, 2); a class is made without arguments. Poses follow from all features in the same way.
     Registration recall by RMSE, feature-match recall and inlier ratio, by scene and by overlap, as on 3DMatch and
     Color3DMatch; of scenes of fragments, the tables of `torchreg bench 3dmatch`. --methods names what else runs beside:
-    the default, unless it is given. --quick takes the pair of every scene that overlaps most.
+    the default, unless it is given. --quick takes one pair of each of two scenes.
 
     An unfinished run is resumed: for other weights under the same name take another --out.
 
@@ -382,7 +382,7 @@ def _run_and_show(study: Study, out: Path) -> None:
     console = standard_output()
     for shown in study.shown(rows):
         if isinstance(shown, str):
-            console.print(shown, soft_wrap=True)
+            console.print(shown)
             continue
         for part in narrow_parts(shown, console.width):
             table = Table(*part.head, title=part.heading or None, title_justify="left")
