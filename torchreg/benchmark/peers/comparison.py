@@ -22,8 +22,6 @@ from torchreg.types import Clouds
 
 _QUICK_SCENES = 2
 
-_QUICK_SCENES = 2
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TruePair:
