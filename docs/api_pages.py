@@ -115,8 +115,8 @@ def _title(text: str, line: str) -> list[str]:
 
 
 def _said(public: PublicName) -> str:
-    """The first sentence of a docstring, after a colon."""
-    return f": {(inspect.getdoc(public.value) or '').partition(chr(10))[0]}" if public.has_docstring else ""
+    """The first line of a docstring, after a colon."""
+    return f": {(inspect.getdoc(public.value) or '').partition(chr(10))[0]}" if public.has_docstring else ": constant"
 
 
 def _description(public: PublicName) -> list[str]:

@@ -1,4 +1,4 @@
-"""The tutorials run as they stand, from the first block to the last, in an empty folder."""
+"""Tutorials and concepts run as they stand, from the first block to the last, in an empty folder."""
 
 import os
 import re
@@ -9,12 +9,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+PAGES = [
+    page
+    for folder in ("tutorials", "concepts")
+    for page in sorted((ROOT / "docs" / folder).glob("*.md"))
+    if "```python" in page.read_text()
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_a_tutorial_runs(page, monkeypatch, tmp_path, capsys):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_runs(page, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     command = tmp_path / "bin" / "torchreg"  # that of this checkout
     command.parent.mkdir()

@@ -14,7 +14,7 @@ from torchreg.io import read_cloud
 
 
 def field_study(data: Path, options: ComparisonOptions = EVERYTHING) -> Study:
-    """The study of methods on real pairs of known truth; a quick run takes the pair of a scene that overlaps most.
+    """The study of methods on real pairs of known truth; a quick run takes one pair of two scenes.
 
     Args:
         data: the list of pairs, or the folder that holds it.

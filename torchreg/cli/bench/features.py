@@ -52,7 +52,7 @@ def features(
     features, or matches (M, 2); a class is made without arguments. Poses follow from all features in the same way.
     Registration recall by RMSE, feature-match recall and inlier ratio, by scene and by overlap, as on 3DMatch and
     Color3DMatch; of scenes of fragments, the tables of `torchreg bench 3dmatch`. --methods names what else runs beside:
-    the default, unless it is given. --quick takes the pair of every scene that overlaps most.
+    the default, unless it is given. --quick takes one pair of each of two scenes.
 
     An unfinished run is resumed: for other weights under the same name take another --out.
 

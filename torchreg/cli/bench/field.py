@@ -21,7 +21,8 @@ def field(data: Data, run: ComparisonRun, out: Out = Path("torchreg_field")) -> 
 
     Registration recall by errors and by RMSE, feature-match recall, inlier ratio, RRE in degrees, RTE in meters and
     seconds, by scene and by overlap, with 95 % intervals over the pairs. All methods get the same clouds and lengths.
-    A method whose package is not installed is listed as such. --quick takes the pair of every scene that overlaps most.
+    A method whose package is not installed is listed as such. --quick takes one pair of each of two scenes, those that
+    overlap most.
 
     Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """

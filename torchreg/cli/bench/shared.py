@@ -81,7 +81,7 @@ def run_and_show(study: Study, out: Path) -> None:
     console = standard_output()
     for shown in study.shown(rows):
         if isinstance(shown, str):
-            console.print(shown, soft_wrap=True)
+            console.print(shown)
             continue
         for part in narrow_parts(shown, console.width):
             table = Table(*part.head, title=part.heading or None, title_justify="left")

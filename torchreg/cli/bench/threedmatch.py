@@ -31,7 +31,7 @@ def threedmatch(
     Fragments are cloud_bin_0.ply, ... (in ETH scenes Hokuyo_0.ply, ...) in one folder per scene, gt.log and gt.info in
     it or in SCENE-evaluation beside it. Registration recall at 0.2 meters by the information matrix over pairs that are
     not consecutive, feature-match recall at 0.1 meters and 5 %, inlier ratio, scene by scene and their mean.
-    --quick takes the first pair of every scene that counts.
+    --quick takes the first pair that counts of each of two scenes.
 
     Exit code 0: all methods that are installed were measured. 2: bad usage, or a file that cannot be read.
     """
