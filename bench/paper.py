@@ -1,4 +1,4 @@
-"""The tables of docs/benchmarks/paper.md, from a finished run of ``torchreg bench paper``.
+"""The tables of docs/benchmarks/paper.md, from a run of ``torchreg bench paper``.
 
     torchreg bench paper --real ../shared/data/real --out DIR && python bench/paper.py DIR
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from torchreg.benchmark.paper.charts import COLORS
 from torchreg.benchmark.paper.intervals import COMPARED, labelled_settings
 from torchreg.benchmark.paper.places import PlaceGroup
-from torchreg.benchmark.paper.summary import Differences, Key
+from torchreg.benchmark.paper.summary import LEAST_PLACES, Differences, Key
 from torchreg.benchmark.paper.ways import Way
 from torchreg.report.canvas import add_legend, blank_figure
 
@@ -23,7 +23,10 @@ _LINEAR = 10.0  # millimeters: the axis of errors is linear up to here and logar
 
 
 def differences_chart(groups: Sequence[PlaceGroup], ways: Sequence[Way], differences: Differences) -> Figure:
-    """For every way two panels, of the share found and of the RMSE, with a line for every group and setting."""
+    """For every way two panels, of the share found and of the RMSE, with a line for every group and setting.
+
+    Dots are hollow, and have no interval, where places are too few to decide.
+    """
     measured = {(key.group, key.experiment, key.setting) for key in differences}
     lines = {
         f"{group.name}, {label}": (setting, group)
@@ -39,8 +42,9 @@ def differences_chart(groups: Sequence[PlaceGroup], ways: Sequence[Way], differe
             for offset, method in zip(_OFFSETS, COMPARED, strict=True):
                 change = differences.get(Key(setting.experiment, setting.name, group.name, way.name, method))
                 if change is not None:
-                    _bar(shares, y + offset, [100 * value for value in change.found], COLORS[method])
-                    _bar(errors, y + offset, [1000 * value for value in change.rmse], COLORS[method])
+                    few = change.places < LEAST_PLACES
+                    _bar(shares, y + offset, [100 * value for value in change.found], COLORS[method], few)
+                    _bar(errors, y + offset, [1000 * value for value in change.rmse], COLORS[method], few)
         errors.set_xscale("symlog", linthresh=_LINEAR)
         _dress(shares, "share of runs found, % (to the right, color is better)", list(lines))
         _dress(errors, "RMSE, mm (to the left, color is better)", [""] * len(lines))
@@ -59,7 +63,9 @@ def _dress(ax: Axes, words: str, names: Sequence[str]) -> None:
     ax.tick_params(labelsize=8)
 
 
-def _bar(ax: Axes, y: float, interval: Sequence[float], color: str) -> None:
+def _bar(ax: Axes, y: float, interval: Sequence[float], color: str, few: bool) -> None:
+    """A dot with its interval; of too few places a hollow dot alone, since their interval means little."""
     value, low, high = interval
-    ax.plot([low, high], [y, y], color=color, linewidth=2, solid_capstyle="butt")
-    ax.plot(value, y, "o", color=color, markersize=4.5)
+    if not few:
+        ax.plot([low, high], [y, y], color=color, linewidth=2, solid_capstyle="butt")
+    ax.plot(value, y, "o", color=color, markerfacecolor="white" if few else color, markersize=4.5)

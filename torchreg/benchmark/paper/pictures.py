@@ -51,7 +51,11 @@ def draw(
     if differences:
         groups = [group for group in GROUPS if group.paper and any(key.group == group.name for key in differences)]
         save_figure(differences_chart(groups, MAIN_WAYS, differences), folder / "differences.png")
-        yield Picture("overview", "differences.png", "What color changes, with 95 % intervals over the places.")
+        yield Picture(
+            "overview",
+            "differences.png",
+            "What color changes, with 95 % intervals over the places; hollow: fewer than six.",
+        )
 
 
 def _clouds(folder: Path, rows: Sequence[Row], place: Place, experiment: int, size: RunSize) -> Picture:
