@@ -112,3 +112,10 @@ def test_only_sites_of_cameras_tell_what_is_usual(cameras, around, monkeypatch):
     links = [right_link(poses, (a, b), generator, log_odds=5.0) for b in range(4) for a in range(b)]
     trust.placed([[link] for link in links], 4, trust.Tolerance(), sight)
     assert asked == ([] if around else [6])
+
+
+@pytest.mark.parametrize("count", [3, 5, 8])
+def test_of_few_links_all_speak_for_themselves(count):
+    usual = [seen(0.01 + 0.002 * k) for k in range(count)]
+    learned = learned_neutral(usual)
+    assert all(learned.odds(one) >= 0 for one in usual)

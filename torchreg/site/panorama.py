@@ -158,7 +158,7 @@ def learned_neutral(seen: Sequence[Compared]) -> Neutral | None:
     learned = []
     for values, least, most in zip(zip(*(one[:3] for one in seen), strict=True), Neutral(), _NEUTRAL_MOST, strict=True):
         known = sorted(value for value in values if not math.isnan(value))
-        usual = known[int(_USUAL * (len(known) - 1))] if len(known) >= _BELIEVED else 0.0
+        usual = known[math.ceil(_USUAL * len(known)) - 1] if len(known) >= _BELIEVED else 0.0
         learned.append(min(max(usual, least), most))
     return Neutral(*learned)
 
