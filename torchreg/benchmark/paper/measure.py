@@ -19,7 +19,7 @@ from torchreg.benchmark.core.study import Cell
 from torchreg.benchmark.paper.methods import METHODS, options_of
 from torchreg.benchmark.paper.places import Place
 from torchreg.benchmark.paper.settings import RUNS, PaperSetting, RunSize
-from torchreg.benchmark.paper.sides import DescribedSide, described, matched
+from torchreg.benchmark.paper.sides import MatchedSide, described, matched
 from torchreg.benchmark.paper.ways import MAIN_WAYS, Procedure
 from torchreg.geometry.se3 import apply_rotation, rigid, transform
 from torchreg.metrics import inlier_ratio, pose_errors
@@ -42,8 +42,8 @@ class _Pair(NamedTuple):
     """The same, described."""
 
     trial: Trial
-    source: DescribedSide
-    target: DescribedSide
+    source: MatchedSide
+    target: MatchedSide
 
 
 def error_cells(
@@ -56,7 +56,7 @@ def error_cells(
     clouds_of = lru_cache(maxsize=1)(Place.clouds)
 
     @lru_cache(maxsize=1)
-    def source_of(place: Place, count: int) -> tuple[Clouds, DescribedSide]:
+    def source_of(place: Place, count: int) -> tuple[Clouds, MatchedSide]:
         cloud = _drawn(clouds_of(place)[0], count, place, 0, size).to(device)
         return cloud, described(cloud, place.scale)
 
