@@ -16,7 +16,7 @@ from torchreg.benchmark.paper.settings import settings_of
 from torchreg.benchmark.paper.summary import error
 from torchreg.benchmark.paper.tables import LABELS
 from torchreg.benchmark.paper.times import SPANS, TIMED
-from torchreg.benchmark.paper.ways import Way
+from torchreg.benchmark.paper.ways import Procedure
 from torchreg.report.canvas import add_legend, blank_figure
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _BAR = 0.8 / len(METHODS)
 _LEAST = 1e-4  # drawn for an error of zero, since the axis is logarithmic
 
 
-def errors_chart(experiment: int, lines: Sequence[tuple[PlaceGroup, Way]], rows: Sequence[Row]) -> Figure:
+def errors_chart(experiment: int, lines: Sequence[tuple[PlaceGroup, Procedure]], rows: Sequence[Row]) -> Figure:
     """RRE, RTE and RMSE of experiment 1, 2, 3 or 5: a row of panels for each group and way, the first on top."""
     settings = [setting.name for setting in settings_of(experiment)]
     title = f"Experiment {experiment}: dots are places, bars their median"

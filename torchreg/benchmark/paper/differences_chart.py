@@ -9,7 +9,7 @@ from torchreg.benchmark.paper.charts import COLORS
 from torchreg.benchmark.paper.intervals import COMPARED, labelled_settings
 from torchreg.benchmark.paper.places import PlaceGroup
 from torchreg.benchmark.paper.summary import LEAST_PLACES, Differences, Key
-from torchreg.benchmark.paper.ways import Way
+from torchreg.benchmark.paper.ways import Procedure
 from torchreg.report.canvas import add_legend, blank_figure
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _OFFSETS = (-0.16, 0.16)  # lines, of the methods
 _LINEAR = 10.0  # millimeters: the axis of errors is linear up to here and logarithmic beyond
 
 
-def differences_chart(groups: Sequence[PlaceGroup], ways: Sequence[Way], differences: Differences) -> Figure:
+def differences_chart(groups: Sequence[PlaceGroup], ways: Sequence[Procedure], differences: Differences) -> Figure:
     """For every way two panels, of the share found and of the RMSE, with a line for every group and setting.
 
     Dots are hollow, and have no interval, where places are too few to decide.

@@ -12,13 +12,13 @@ from torchreg.benchmark.paper.printed import ERRORS, FPFH
 from torchreg.benchmark.paper.settings import TABLES, PaperSetting, settings_of
 from torchreg.benchmark.paper.summary import Cells, Difference, Differences, Key, PaperCell
 from torchreg.benchmark.paper.tables import as_printed, number
-from torchreg.benchmark.paper.ways import Way
+from torchreg.benchmark.paper.ways import Procedure
 
 COMPARED = tuple(method for method in METHODS if method != FPFH)
 """The methods that are compared with FPFH alone."""
 
 
-def overview_table(groups: Sequence[PlaceGroup], ways: Sequence[Way], cells: Cells) -> Table:
+def overview_table(groups: Sequence[PlaceGroup], ways: Sequence[Procedure], cells: Cells) -> Table:
     """The paper's RMSE of every setting, and below it the share found and the median RMSE of every group and way."""
     rows = []
     for setting, label in labelled_settings():
@@ -36,7 +36,7 @@ def overview_table(groups: Sequence[PlaceGroup], ways: Sequence[Way], cells: Cel
     return Table("Overview: share of runs found, median RMSE in meters", head, rows)
 
 
-def difference_table(groups: Sequence[PlaceGroup], ways: Sequence[Way], differences: Differences) -> Table:
+def difference_table(groups: Sequence[PlaceGroup], ways: Sequence[Procedure], differences: Differences) -> Table:
     """What color changes on the same places, in every setting, group and way that has places."""
     rows = []
     for setting, label in labelled_settings():
@@ -73,8 +73,8 @@ def labelled_settings() -> Iterator[tuple[PaperSetting, str]]:
 
 
 def _rows(
-    setting: PaperSetting, groups: Sequence[PlaceGroup], ways: Sequence[Way]
-) -> Iterator[tuple[PlaceGroup, Way, list[Key]]]:
+    setting: PaperSetting, groups: Sequence[PlaceGroup], ways: Sequence[Procedure]
+) -> Iterator[tuple[PlaceGroup, Procedure, list[Key]]]:
     for group in groups:
         for way in ways:
             keys = [Key(setting.experiment, setting.name, group.name, way.name, method) for method in METHODS]

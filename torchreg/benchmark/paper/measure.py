@@ -19,8 +19,8 @@ from torchreg.benchmark.core.study import Cell
 from torchreg.benchmark.paper.methods import METHODS, options_of
 from torchreg.benchmark.paper.places import Place
 from torchreg.benchmark.paper.settings import RUNS, PaperSetting, RunSize
-from torchreg.benchmark.paper.sides import Side, described, matched
-from torchreg.benchmark.paper.ways import MAIN_WAYS, Way
+from torchreg.benchmark.paper.sides import MatchedSide, described, matched
+from torchreg.benchmark.paper.ways import MAIN_WAYS, Procedure
 from torchreg.geometry.se3 import apply_rotation, rigid, transform
 from torchreg.metrics import inlier_ratio, pose_errors
 from torchreg.preprocess import random_downsample
@@ -42,8 +42,8 @@ class _Pair(NamedTuple):
     """The same, described."""
 
     trial: Trial
-    source: Side
-    target: Side
+    source: MatchedSide
+    target: MatchedSide
 
 
 def error_cells(
@@ -56,7 +56,7 @@ def error_cells(
     clouds_of = lru_cache(maxsize=1)(Place.clouds)
 
     @lru_cache(maxsize=1)
-    def source_of(place: Place, count: int) -> tuple[Clouds, Side]:
+    def source_of(place: Place, count: int) -> tuple[Clouds, MatchedSide]:
         cloud = _drawn(clouds_of(place)[0], count, place, 0, size).to(device)
         return cloud, described(cloud, place.scale)
 
@@ -71,7 +71,7 @@ def error_cells(
         pair = pair_of(place, setting)
         return matched(pair.source, pair.target, options_of(method, scale=place.scale), turned=turned)
 
-    def measure(place: Place, setting: PaperSetting, way: Way, method: str) -> Row:
+    def measure(place: Place, setting: PaperSetting, way: Procedure, method: str) -> Row:
         matches = matches_of(place, setting, method, way.turned)
         return _errors(pair_of(place, setting), matches, place, setting, way, method, size)
 
@@ -94,7 +94,7 @@ def error_cells(
     ]
 
 
-def key_of(setting: PaperSetting, place: Place, way: Way, method: str) -> str:
+def key_of(setting: PaperSetting, place: Place, way: Procedure, method: str) -> str:
     """The name of a row of errors."""
     return f"{setting.experiment}/{setting.name}/{place.name}/{way.name}/{method}"
 
@@ -121,7 +121,13 @@ def _drawn(cloud: Clouds, count: int, place: Place, side: int, size: RunSize) ->
 
 
 def _errors(
-    pair: _Pair, matches: Correspondences, place: Place, setting: PaperSetting, way: Way, method: str, size: RunSize
+    pair: _Pair,
+    matches: Correspondences,
+    place: Place,
+    setting: PaperSetting,
+    way: Procedure,
+    method: str,
+    size: RunSize,
 ) -> Row:
     """One row: every error is a list of one number per run of RANSAC; the transform is that of the first."""
     options = options_of(method, scale=place.scale, hypotheses=size.hypotheses, refit=way.refit)

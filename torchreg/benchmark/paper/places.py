@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from torchreg.benchmark.core.real_pairs import RealPair, read_real_pairs
-from torchreg.benchmark.paper.ways import MAIN_WAYS, OURS, WAYS, Way
+from torchreg.benchmark.paper.ways import MAIN_WAYS, OURS, WAYS, Procedure
 from torchreg.datasets import ScanPair, mall, road
 from torchreg.errors import CloudFileError, at_least
 from torchreg.geometry.se3 import transform
@@ -66,7 +66,7 @@ class Place:
     name: str  # different for every place
     number: int  # of the place within its group, which seeds its random draws
     scale: float  # of the paper's lengths
-    ways: tuple[Way, ...]  # in which it is registered
+    ways: tuple[Procedure, ...]  # in which it is registered
     scan: Callable[[], ScanPair]  # makes or reads the two scans
 
     def clouds(self) -> tuple[Clouds, Clouds]:
@@ -87,7 +87,7 @@ def simulated_places(seed: int, count: int, *, angular_step: float, beyond: int 
     any_seed(seed)
     at_least(count, "seeds", 1)
 
-    def place(simulate: Callable[..., ScanPair], group: PlaceGroup, number: int, ways: tuple[Way, ...]) -> Place:
+    def place(simulate: Callable[..., ScanPair], group: PlaceGroup, number: int, ways: tuple[Procedure, ...]) -> Place:
         scan = partial(simulate, number, baseline=group.baseline, angular_step=angular_step)
         return Place(group=group, name=f"{group.name}-{number}", number=number, scale=1.0, ways=ways, scan=scan)
 

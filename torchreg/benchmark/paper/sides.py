@@ -22,14 +22,14 @@ from torchreg.registration.recipes import fused_blocks
 from torchreg.types import Clouds, Correspondences, Features
 
 
-class Side(NamedTuple):
+class MatchedSide(NamedTuple):
     """One cloud as all methods match it."""
 
     cloud: Clouds  # one, in Z order, its normals turned to its scanner
     blocks: Mapping[tuple[Descriptor, bool], Features]  # by descriptor, and by whether normals are turned
 
 
-def described(cloud: Clouds, scale: float) -> Side:
+def described(cloud: Clouds, scale: float) -> MatchedSide:
     """Describe one colored cloud by the descriptors of all methods, with normals turned and unturned.
 
     ``scale`` is that of the lengths, as in ``options_of``.
@@ -42,10 +42,10 @@ def described(cloud: Clouds, scale: float) -> Side:
     for is_turned, cloud in ((True, turned), (False, unturned(turned, options[0]))):
         of_records = describe(cloud, near, [records])
         blocks |= {(record, is_turned): block for record, block in zip(records, of_records, strict=True)}
-    return Side(turned, blocks)
+    return MatchedSide(turned, blocks)
 
 
-def matched(source: Side, target: Side, options: RegistrationOptions, *, turned: bool) -> Correspondences:
+def matched(source: MatchedSide, target: MatchedSide, options: RegistrationOptions, *, turned: bool) -> Correspondences:
     """Match two clouds by the descriptors of one method."""
     left, right = (
         fused_blocks(

@@ -14,7 +14,7 @@ from torchreg.benchmark.paper.printed import ERRORS, SECONDS
 from torchreg.benchmark.paper.settings import TABLES, settings_of
 from torchreg.benchmark.paper.summary import Cells, Key, PaperCell
 from torchreg.benchmark.paper.times import SPANS, TIMED
-from torchreg.benchmark.paper.ways import Way
+from torchreg.benchmark.paper.ways import Procedure
 
 LABELS = {"rre_degrees": "RRE/°", "rte_meters": "RTE/m", "rmse_meters": "RMSE/m"}
 
@@ -22,7 +22,7 @@ _COLUMN_NAMES = {1: "Initial pose", 3: "Point count"}
 _STACKED = 3  # the experiment whose methods the paper puts one below the other
 
 
-def error_table(experiment: int, group: PlaceGroup, way: Way, cells: Cells, part: str = "") -> Table:
+def error_table(experiment: int, group: PlaceGroup, way: Procedure, cells: Cells, part: str = "") -> Table:
     """The paper's table of experiment 1, 2, 3 or 5, its numbers beside ours on one group of places in one way.
 
     Cells that are missing are left open; ``part`` is a letter behind the number of the table.
@@ -85,7 +85,7 @@ def number(value: float) -> str:
 
 
 def _block(
-    experiment: int, method: str, settings: Sequence[str], group: PlaceGroup, way: Way, cells: Cells
+    experiment: int, method: str, settings: Sequence[str], group: PlaceGroup, way: Procedure, cells: Cells
 ) -> list[list[str]]:
     """The lines of one method: a label, then one text per setting."""
     printed = [ERRORS.get((experiment, name, method)) for name in settings]

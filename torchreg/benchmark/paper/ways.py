@@ -16,7 +16,7 @@ from torchreg.types import Clouds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class Procedure:
     """How every method registers a pair."""
 
     name: str  # for a column of a table
@@ -25,8 +25,10 @@ class Way:
     refit: bool  # RANSAC refits its best hypotheses to their inliers; else it takes the one with the most inliers
 
 
-OURS = Way(name="turned, refit", title="normals turned to the scanner, RANSAC's best refitted", turned=True, refit=True)
-AS_PAPER = Way(
+OURS = Procedure(
+    name="turned, refit", title="normals turned to the scanner, RANSAC's best refitted", turned=True, refit=True
+)
+AS_PAPER = Procedure(
     name="unturned, no refit",
     title="signs of normals left as they come, RANSAC's best sample taken as it is",
     turned=False,
@@ -34,13 +36,13 @@ AS_PAPER = Way(
 )
 WAYS = (
     OURS,
-    Way(
+    Procedure(
         name="turned, no refit",
         title="normals turned to the scanner, RANSAC's best sample taken as it is",
         turned=True,
         refit=False,
     ),
-    Way(
+    Procedure(
         name="unturned, refit",
         title="signs of normals left as they come, RANSAC's best refitted",
         turned=False,
