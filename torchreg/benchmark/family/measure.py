@@ -47,7 +47,7 @@ class Measurement:
     def __init__(self, pairs: Sequence[FamilyPair], *, points: int | None, effort: str, seed: int) -> None:
         self._pairs, self._points, self._effort, self._seed = pairs, points, effort, seed
         self._at: tuple[int, ThinPair] | None = None
-        self._sides: tuple[_Side, ...] = ()
+        self._sides: tuple[_DescribedSide, ...] = ()
         self._done: dict[RegistrationOptions, Row] = {}
 
     def row(self, number: int, fusion: Fusion) -> Row:
@@ -120,7 +120,7 @@ class Measurement:
             thin = thin_pair(self._pairs[number].pair, self._points)
             usual = FPFH.options(thin.edge, colored=thin.colored)
             self._at = (number, thin)
-            self._sides = tuple(_Side(describe_clouds(cloud, usual)) for cloud in (thin.source, thin.target))
+            self._sides = tuple(_DescribedSide(describe_clouds(cloud, usual)) for cloud in (thin.source, thin.target))
             self._done.clear()
         return self._at[1]
 
@@ -130,7 +130,7 @@ class _TimedFeatures(NamedTuple):
     seconds: float  # of the processor, neighborhoods not counted
 
 
-class _Side:
+class _DescribedSide:
     """One cloud with normals, and its features by every descriptor that was asked for."""
 
     def __init__(self, base: DescribedClouds) -> None:
