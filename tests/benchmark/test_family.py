@@ -157,7 +157,7 @@ def test_matches_alone_decide_where_that_is_asked(data, tmp_path):
     assert all((row["rre_deg"], row["rte_m"]) == (row["plain_rre_deg"], row["plain_rte_m"]) for row in rows)
     assert {row["probability"] for row in rows} == {None}
     assert score(rows).brier is None
-    assert "Verdicts" not in (tmp_path / "out" / "family.md").read_text()
+    assert "## Verdicts" not in (tmp_path / "out" / "family.md").read_text()
     with refuses("effort", "plain"):
         family_study(FamilyOptions(real=data, effort="much"))
 
