@@ -32,8 +32,8 @@ def main() -> None:
             raise SystemExit(f"{folder}: a quick run, whose numbers mean nothing")
         fusions = chosen_fusions(run["fusions"])
         kept.append({"machine": whole["machine"], "run": run, "cells": scores(rows, fusions, run["seed"])})
-        shown = [table.section.replace("## ", "#### ", 1) for table in tables(rows, fusions, run["seed"])]
-        parts += [f"### {what(run, rows)}", *shown, f"{in_words(whole['machine'])}."]
+        shown = [table.section.replace("## ", "### ", 1) for table in tables(rows, fusions, run["seed"])]
+        parts += [f"## {what(run, rows)}", *shown, f"{in_words(whole['machine'])}."]
     save("family", {"runs": kept})
     if not arguments.no_docs:
         publish("family", "\n\n".join(parts))
