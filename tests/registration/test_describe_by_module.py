@@ -138,7 +138,9 @@ def test_a_wrapped_module_gets_neighborhoods_as_it_would_alone(room):
 def test_what_a_module_raises_comes_with_its_name_and_what_it_was_given(room):
     pair, options = room
     bare = (replace(cloud, colors=None) for cloud in pair[:2])
-    with pytest.raises(RuntimeError, match=r"^describe: Mean raised TypeError, given .* without colors, .*: ") as caught:
+    with pytest.raises(
+        RuntimeError, match=r"^describe: Mean raised TypeError, given .* without colors, .*: "
+    ) as caught:
         tr.register(*bare, options, describe=Mean())
     assert isinstance(caught.value.__cause__, TypeError)
 
