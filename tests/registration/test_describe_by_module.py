@@ -147,5 +147,5 @@ def test_what_a_module_raises_comes_with_its_name_and_what_it_was_given(room):
     def heights(cloud, near):
         raise KeyError("height")
 
-    with pytest.raises(RuntimeError, match="describe: heights raised KeyError, .* colors, and their Neighborhoods"):
+    with pytest.raises(RuntimeError, match=r"describe: heights raised KeyError, .* colors, and their Neighborhoods"):
         tr.register(*pair[:2], options, describe=heights)
