@@ -169,3 +169,13 @@ def test_bad_arguments_are_refused():
         tr.soft_match(one, one, iterations=0)
     with refuses("confidence", "(3, 2)"):
         tr.SoftCorrespondences((torch.zeros(2, 2),), torch.tensor([0, 3]), torch.tensor([0, 2]))
+
+
+@pytest.mark.parametrize("function", [tr.soft_match, tr.nn.SoftMatch(), tr.match_mutual, tr.fuse])
+def test_a_tensor_in_place_of_features_is_refused_with_how_these_are_made(function):
+    values = torch.rand(5, 16)
+    with pytest.raises(TypeError, match=r"^\w+: expected Features, such as .*, got a tensor \(5, 16\)") as caught:
+        function(values, values)
+    assert 'Features(values, clouds.offsets, (("mine", 16),), valid)' in str(caught.value)
+    with pytest.raises(TypeError, match=r"^\w+: expected Features, got None"):
+        function(None, None)

@@ -140,7 +140,7 @@ def test_pose_errors_are_those_of_the_scene_whatever_the_zero_of_the_map():
 
 def test_pose_errors_refuse_what_does_not_fit():
     cloud = tr.Clouds(points=torch.rand(5, 3))
-    with refuses("source", "a batch of one", "2 clouds"):
+    with refuses("source", "a batch of one", "cloud[b]", "2 clouds"):
         tr.metrics.pose_errors(tr.Clouds.pack([cloud, cloud]), EYE, EYE)
     with refuses("T_true", "(4, 4)", "(1, 4, 4)"):
         tr.metrics.pose_errors(cloud, EYE[None], EYE)

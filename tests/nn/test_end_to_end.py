@@ -149,3 +149,72 @@ def test_every_module_has_the_support_of_its_own_record():
         one = tr.RegistrationOptions(normal_radius=0.6, descriptors=(tr.Fpfh(radius=radius),))
         alone = tr.nn.Register(one)(pair.source, pair.target).source_features.values
         assert torch.allclose(block, alone)
+
+
+class Heights(torch.nn.Module):
+    """A descriptor of one's own, as a tensor or as features."""
+
+    def __init__(self, tensor):
+        super().__init__()
+        self.tensor, self.layer = tensor, torch.nn.Linear(33, 8)
+
+    def forward(self, cloud, near):
+        values = self.layer(tr.fpfh(cloud, near).values)
+        valid = torch.ones(len(values), dtype=torch.bool)
+        return values if self.tensor else tr.Features(values, cloud.offsets, (("mine", 8),), valid)
+
+
+def test_modules_of_ones_own_describe_beside_the_librarys():
+    torch.manual_seed(0)
+    mine = Heights(tensor=True)
+    module = tr.nn.Register(OPTIONS, descriptors=[mine, tr.nn.PCFH()])
+    found = module(ROOM.source, ROOM.target)
+    assert found.source_features.blocks == (("descriptors[0]", 8), ("pcfh", 11))
+    pose_loss(found.T_target_source, ROOM.T_target_source).total.sum().backward()
+    assert torch.isfinite(mine.layer.weight.grad).all()
+    assert mine.layer.weight.grad.any()
+    mine.tensor = False
+    again = module(ROOM.source, ROOM.target)
+    assert again.source_features.blocks == (("mine", 8), ("pcfh", 11))
+    assert torch.equal(again.T_target_source, found.T_target_source)
+
+
+def test_what_a_module_of_ones_own_returns_is_checked():
+    class Wrong(torch.nn.Module):
+        def forward(self, cloud, near):
+            return self.answer(cloud)
+
+    wrong = Wrong()
+    module = tr.nn.Register(OPTIONS, descriptors=[wrong])
+    for answer, parts in (
+        (lambda cloud: cloud.points[1:], ["(700, D)", "(699, 3)"]),
+        (lambda cloud: cloud.points.long(), ["floating-point", "int64"]),
+        (lambda cloud: None, ["a tensor", "NoneType"]),
+    ):
+        wrong.answer = answer
+        with refuses("descriptors[0]", *parts):
+            module(ROOM.source, ROOM.target)
+
+
+def test_features_beyond_the_dustbin_show_in_the_confidence_and_have_no_gradient():
+    """What the documentation tells of features on a scale of their own."""
+    cloud = tr.Clouds(ROOM.source.points)
+    percent = (100 * torch.rand(700, 33)).requires_grad_()
+    rows = tr.Features(percent, cloud.offsets, (("mine", 33),), torch.ones(700, dtype=torch.bool))
+    other = replace(rows, values=100 * torch.rand(700, 33))
+    matches = tr.nn.SoftMatch()(rows, other)
+    T = tr.nn.WeightedKabsch()(cloud, cloud, matches)
+    T.sum().backward()
+    assert torch.isfinite(T).all()
+    assert float(matches.confidence[0].sum()) == 0
+    assert not percent.grad.any()
+
+
+def test_a_pair_with_an_empty_cloud_has_a_finite_pose_and_no_confidence():
+    empty = tr.Clouds(torch.zeros(0, 3))
+    rows = tr.Features(torch.zeros(0, 4), empty.offsets, (("mine", 4),), torch.zeros(0, dtype=torch.bool))
+    cloud = tr.Clouds(ROOM.target.points)
+    other = tr.Features(torch.rand(700, 4), cloud.offsets, (("mine", 4),), torch.ones(700, dtype=torch.bool))
+    matches = tr.soft_match(rows, other)
+    assert torch.isfinite(tr.nn.WeightedKabsch()(empty, cloud, matches)).all()
+    assert float(matches.confidence[0].sum()) == 0

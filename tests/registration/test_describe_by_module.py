@@ -133,3 +133,19 @@ def test_a_wrapped_module_gets_neighborhoods_as_it_would_alone(room):
     expected = tr.register(*pair[:2], options, describe=alone)
     wrapped = torch.compile(alone, backend="eager")
     assert same_bits(tr.register(*pair[:2], options, describe=wrapped), expected, ignore=TIMES)
+
+
+def test_what_a_module_raises_comes_with_its_name_and_what_it_was_given(room):
+    pair, options = room
+    bare = (replace(cloud, colors=None) for cloud in pair[:2])
+    with pytest.raises(
+        RuntimeError, match=r"^describe: Mean raised TypeError, given .* without colors, .*: "
+    ) as caught:
+        tr.register(*bare, options, describe=Mean())
+    assert isinstance(caught.value.__cause__, TypeError)
+
+    def heights(cloud, near):
+        raise KeyError("height")
+
+    with pytest.raises(RuntimeError, match=r"describe: heights raised KeyError, .* colors, and their Neighborhoods"):
+        tr.register(*pair[:2], options, describe=heights)

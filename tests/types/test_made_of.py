@@ -1,5 +1,6 @@
 """Clouds of lists and of padded tensors, and back."""
 
+import numpy as np
 import pytest
 import torch
 from determinism import same_bits
@@ -49,7 +50,8 @@ def test_what_lies_behind_the_last_row_changes_nothing(lengths):
     dirty = torch.where(padded.mask[..., None], padded.points, torch.nan)
     wider = torch.cat([dirty, torch.full((len(lengths), 2, 3), torch.inf)], dim=1)
     for points in (dirty, wider):
-        assert same_bits(tr.Clouds.from_padded(points, padded.lengths), tr.Clouds.from_list(rows(lengths, 0)))
+        for form in (padded.lengths, lengths, tuple(lengths)):
+            assert same_bits(tr.Clouds.from_padded(points, form), tr.Clouds.from_list(rows(lengths, 0)))
 
 
 def test_gradients_flow_there_and_back():
@@ -98,7 +100,11 @@ PADDED = torch.zeros(2, 4, 3)
         ((PADDED, torch.tensor([4, 5])), "lengths", ["from 0 to 4", "[4, 5]"]),
         ((PADDED, torch.tensor([4, -1])), "lengths", ["from 0 to 4", "[4, -1]"]),
         ((PADDED, torch.tensor([4.0, 1.0])), "lengths", ["whole numbers", "float32"]),
-        ((PADDED, [4, 1]), "lengths", ["tensor", "list"]),
+        ((PADDED, [4, 1.0]), "lengths", ["whole numbers", "[4, 1.0]"]),
+        ((PADDED, [True, False]), "lengths", ["whole numbers", "[True, False]"]),
+        ((PADDED, "41"), "lengths", ["whole numbers", "'41'"]),
+        ((PADDED, [4, 1, 2]), "lengths", ["(2,)", "(3,)"]),
+        ((PADDED, [4, 5]), "lengths", ["from 0 to 4", "[4, 5]"]),
         ((PADDED, torch.tensor([4, 1]), PADDED[:, :3]), "colors", ["(2, 4, 3)", "(2, 3, 3)"]),
         ((PADDED, torch.tensor([4, 1]), None, PADDED.double()), "normals", ["float32", "float64"]),
     ],
@@ -106,3 +112,17 @@ PADDED = torch.zeros(2, 4, 3)
 def test_padded_tensors_that_do_not_fit_are_refused(arguments, name, parts):
     with refuses(name, *parts):
         tr.Clouds.from_padded(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("points", "parts"),
+    [
+        (np.zeros((5, 3)), ["a tensor (P, 3)", "an array (5, 3) float64", "try torchreg.from_numpy(points)"]),
+        (TWO, ["a tensor (P, 3)", "list", "try Clouds.from_list(points)"]),
+        ("a.ply", ["a tensor (P, 3)", "'a.ply'", "try read_cloud(path)"]),
+        (PADDED, ["(P, 3)", "(2, 4, 3)", "try Clouds.from_padded(points, lengths)"]),
+    ],
+)
+def test_points_in_another_form_are_refused_with_what_takes_them(points, parts):
+    with refuses("points", *parts):
+        tr.Clouds(points)

@@ -128,3 +128,12 @@ def test_trimming_keeps_every_neighbor_and_no_empty_column():
 def test_an_empty_neighborhood_keeps_one_slot():
     empty = tr.neighbors(tr.Clouds(points=torch.zeros(0, 3)), 1.0, 5)
     assert empty.trimmed().max_neighbors == 1
+
+
+def test_the_neighborhoods_of_one_cloud_of_a_batch_are_those_of_the_cloud_alone():
+    batch = tr.Clouds.from_list([torch.rand(7, 3), torch.rand(5, 3)])
+    near = tr.neighbors(batch, 0.5, 4)
+    for b, (begin, end) in enumerate(zip(batch.offsets[:-1].tolist(), batch.offsets[1:].tolist(), strict=True)):
+        one, alone = near.of_rows(begin, end), tr.neighbors(batch[b], 0.5, 4)
+        assert torch.equal(one.valid, alone.valid)
+        assert torch.equal(one.index[one.valid], alone.index[alone.valid])

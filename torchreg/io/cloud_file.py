@@ -222,7 +222,7 @@ def write_cloud(
     writer = WRITERS.get(suffix)
     if writer is None:
         raise ValueError(f"path: expected a name that ends in {alternatives(WRITERS)}, got {os.fspath(path)!r}")
-    expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
+    expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud[b] picks one)", f"{len(cloud)} clouds")
     wide = cloud.to(device="cpu", dtype=torch.float64)
     if T is not None:
         wide = transform(wide, torch.from_numpy(checked_rigid(T, "T")))

@@ -68,7 +68,7 @@ def posed_scan(
         >>> scan = tr.io.posed_scan(tr.Clouds(torch.rand(10, 3)), torch.eye(4, dtype=torch.float64), name="hall")
         >>> tr.io.write_scans("hall.ptx", [scan])
     """
-    expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
+    expect_in_words(len(cloud) == 1, "cloud", "a batch of one (cloud[b] picks one)", f"{len(cloud)} clouds")
     wide = cloud.detach().to(device="cpu", dtype=torch.float64)
     to_world = torch.from_numpy(checked_rigid(T_world_file, "T_world_file"))
     own = _own_frame(wide) if pose is None else torch.from_numpy(checked_rigid(pose, "pose"))

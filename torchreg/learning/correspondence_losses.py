@@ -19,7 +19,9 @@ def true_distances(source: Tensor, target: Tensor, T_target_source: Tensor) -> T
     Args:
         source: (N, 3) meters.
         target: (M, 3) meters.
-        T_target_source: (4, 4), true, between the frames of these points (without origins).
+        T_target_source: (4, 4), true, between the frames of these points. The truth of a pair of clouds includes their
+            origins: there, give the points of ``torchreg.transform(clouds, T_target_source)``, plus its origin minus
+            that of the target, and the identity.
 
     Returns:
         (N, M) meters. No gradients.

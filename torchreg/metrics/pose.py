@@ -38,7 +38,7 @@ def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErro
     """All three errors of a transform of one cloud, in float64 on the CPU. No gradients.
 
     Args:
-        source: one cloud.
+        source: one cloud, of a batch ``clouds[b]``.
         T_true: (4, 4), meters, origins included.
         T_estimated: (4, 4), likewise.
 
@@ -50,7 +50,7 @@ def pose_errors(source: Clouds, T_true: Tensor, T_estimated: Tensor) -> PoseErro
         >>> pose_errors(cloud, torch.eye(4), torch.eye(4))
         PoseErrors(rre_degrees=0.0, rte_meters=0.0, rmse_meters=0.0)
     """
-    expect_in_words(len(source) == 1, "source", "a batch of one (cloud.select(b) picks one)", f"{len(source)} clouds")
+    expect_in_words(len(source) == 1, "source", "a batch of one (cloud[b] picks one)", f"{len(source)} clouds")
     expect_shape(T_true, "T_true", (4, 4))
     expect_shape(T_estimated, "T_estimated", (4, 4))
     points = source.points.detach().cpu().to(torch.float64) + source.origin.cpu()

@@ -93,7 +93,9 @@ class SoftMatch(nn.Module):
     """``torchreg.soft_match`` with a learned temperature, as its logarithm, and a learned dustbin.
 
     The defaults fit fused FPFH and PCFH: on simulated rooms true partners lie 0.02 to 0.15 apart in
-    squares, the nearest features of all 0.01 to 0.07.
+    squares, the nearest features of all 0.01 to 0.07. Other features want other numbers, or to be scaled to that, as
+    ``Fuse`` does: where they lie farther apart than the dustbin by many temperatures, every confidence is 0 and so is
+    every gradient. The sum of ``confidence`` shows it: about as many as points have a partner, not 0.
 
     Args:
         method: ``"dual_softmax"`` or ``"sinkhorn"``.
@@ -196,8 +198,9 @@ class WeightedKabsch(nn.Module):
 
         Returns:
             T_target_source (B, 4, 4) float64, meters, origins included, as in ``RegistrationResult``; solved in the
-            dtype of the points. A pair without any confidence gets one of the rotations, all of which fit alike.
-            Gradients flow to points and confidences, finite everywhere.
+            dtype of the points. A pair without any confidence, such as one with an empty cloud, gets some pose, since
+            all fit alike, and nothing but the sum of its confidence, 0, says so. Gradients flow to points and
+            confidences, finite everywhere.
 
         Raises:
             ValueError: clouds other than those of the matches, or no scale for the rounds.

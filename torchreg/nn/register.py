@@ -12,11 +12,11 @@ from torchreg.arguments import checked
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.fpfh import Fpfh
 from torchreg.descriptors.pcfh import Pcfh
-from torchreg.errors import expect
+from torchreg.errors import expect, expect_shape
 from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
-from torchreg.nn.precision import full_precision
+from torchreg.nn.precision import full_precision, widened
 from torchreg.registration.describe import downsample, oriented, support_of
 from torchreg.registration.described import Description
 from torchreg.registration.options import RegistrationOptions
@@ -61,15 +61,17 @@ class Register(nn.Module):
     Args:
         options: lengths and numbers of neighbors in meters (voxels, supports, inlier threshold); ``None`` derives them
             from every pair (``derive_options``). Solver, effort and what concerns matches and hypotheses are not read.
-        descriptors: ``FPFH`` and ``PCFH`` modules in the order of their blocks; ``None``: soft ones as the options'
-            records say, FPFH and PCFH without options. The support of a module is that of the record of its kind in
-            the options, module by module; where there is none, of the first record.
+        descriptors: modules in the order of their blocks, ``FPFH``, ``PCFH`` or any of yours: called with the clouds,
+            which have normals, and the ``Neighborhoods`` of their points, a module returns ``Features`` or a tensor
+            (P, D). ``None``: soft ones as the options' records say, FPFH and PCFH without options. The support of a
+            module is that of the record of its kind in the options, module by module, of any of yours that of an
+            ``Fpfh``; where there is none, of the first record.
         fuse: ``None``: weights of 1 to begin with, or the options' ``weights``, and their ``root``.
         match: ``None``: ``SoftMatch()``, dual softmax.
         solve: ``None``: ``WeightedKabsch(rounds=5)``. A scale of its own holds; else the inlier threshold.
 
     Raises:
-        ValueError: no descriptors, or options with another one than ``Fpfh`` and ``Pcfh`` and none given.
+        ValueError: no descriptors, or options with another one than ``Fpfh`` and ``Pcfh`` and no modules given.
 
     Example:
         >>> import torchreg as tr
@@ -84,7 +86,7 @@ class Register(nn.Module):
         self,
         options: RegistrationOptions | None = None,
         *,
-        descriptors: Sequence[FPFH | PCFH] | None = None,
+        descriptors: Sequence[nn.Module] | None = None,
         fuse: Fuse | None = None,
         match: SoftMatch | None = None,
         solve: WeightedKabsch | None = None,
@@ -157,8 +159,17 @@ class Register(nn.Module):
             records = [description.descriptors[number] for description in descriptions]
             support = support_of(cloud, near, records)
             colors = {"values": values} if isinstance(module, PCFH) and records[0].is_pairwise else {}
-            blocks.append(module(cloud, support, **colors))
+            blocks.append(_block_of(module(cloud, support, **colors), cloud, f"descriptors[{number}]"))
         return cloud, self.fuse(*blocks)
+
+
+def _block_of(answer: Features | Tensor, cloud: Clouds, name: str) -> Features:
+    """What a module returned, as features; a row of zeros in a tensor describes nothing."""
+    if isinstance(answer, Features):
+        return answer
+    expect_shape(answer, name, (cloud.points.shape[0], "D"), "floating", cloud.device)
+    values = widened(answer)
+    return Features(values, cloud.offsets, ((name, values.shape[1]),), (values.detach() != 0).any(dim=1))
 
 
 def _expect_one_graph(options: RegistrationOptions | None) -> None:
@@ -181,10 +192,10 @@ def _records_of(modules: Iterable[nn.Module], options: RegistrationOptions) -> t
     return tuple(records)
 
 
-def _descriptors_of(options: RegistrationOptions | None) -> list[FPFH | PCFH]:
+def _descriptors_of(options: RegistrationOptions | None) -> list[nn.Module]:
     if options is None:
         return [FPFH(), PCFH()]
-    modules: list[FPFH | PCFH] = []
+    modules: list[nn.Module] = []
     for record in options.descriptors:
         if isinstance(record, Pcfh):
             color = PCFH(

@@ -84,8 +84,9 @@ def register(
         describe: an ``nn.Module`` (or a function) that describes clouds in place of the options' descriptors, which
             then judge poses alone. It is called in evaluation mode, without gradients, once for every distinct cloud:
             with ``Clouds`` of one thinned cloud with normals, and with colors where both sides have them; and, where it
-            needs a second argument, with the ``Neighborhoods`` of its points (the widest support of the options). It
-            returns features as ``register_features`` takes them: (P, D), or ``Features``.
+            needs a second argument, with the ``Neighborhoods`` of its points, of the widest support of the options:
+            the largest radius and the largest number of neighbors of the normals and of the first descriptors of
+            geometry and of color. It returns features as ``register_features`` takes them: (P, D), or ``Features``.
         seed: of every random draw, any integer. The same seed gives the same bits, for any batch and number of threads.
         max_bytes: about the memory to work in, beyond the clouds, the result, and the descriptions of clouds that
             later pairs need again; ``None`` takes a quarter of what is free. A batch that needs more goes in slices,
@@ -99,6 +100,7 @@ def register(
         TypeError: something else than ``Clouds``, such as a tensor; a ``describe`` that cannot be called, or returns
             something else than features.
         ValueError: different numbers of clouds, options that do not fit, or features that do not fit the points.
+        RuntimeError: what ``describe`` raised, with what it was given.
 
     Example:
         >>> import torchreg as tr

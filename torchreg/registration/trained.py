@@ -23,7 +23,7 @@ from torchreg.registration.described import DescribedClouds, Description
 from torchreg.registration.matchings import DescriptorMatching, FeatureMatching, Matching
 from torchreg.registration.outside import GivenFeatures, checked_features
 from torchreg.registration.plan import Describe
-from torchreg.types import Clouds, Features
+from torchreg.types import Clouds, Features, Neighborhoods
 
 Trained = Callable[..., GivenFeatures]
 """A module, or any function, of a cloud, and of its ``Neighborhoods`` where it needs a second argument."""
@@ -64,13 +64,25 @@ def _described(
         for cloud, description in zip(described.cloud.unpack(), descriptions, strict=True):
             if len(cloud.points) > 0:
                 support = (neighbors(cloud, description.widest, description.max_neighbors),) if near else ()
-                parts.append(checked_features(module(cloud, *support), cloud, "describe", "its cloud"))
+                parts.append(checked_features(_answer(module, cloud, *support), cloud, "describe", "its cloud"))
                 width = parts[0].values.shape[1]
                 expect(parts[-1].values.shape[1] == width, "describe", f"width {width} for all", parts[-1].values)
     if not parts:
         return replace(described, outside=_nothing(described.cloud))
     values, valid = torch.cat([part.values for part in parts]), torch.cat([part.valid for part in parts])
     return replace(described, outside=Features(values, described.cloud.offsets, parts[0].blocks, valid))
+
+
+def _answer(module: Trained, cloud: Clouds, *support: Neighborhoods) -> GivenFeatures:
+    """What the module returns; what it raises comes out with its name and what it was given."""
+    try:
+        return module(cloud, *support)
+    except Exception as error:
+        name = getattr(module, "__name__", type(module).__name__)
+        colors = "colors" if cloud.colors is not None else "without colors, which are there where both sides have them"
+        near = ", and their Neighborhoods" if support else ""
+        given = f"Clouds of {len(cloud.points)} points, normals, {colors}{near}"
+        raise RuntimeError(f"describe: {name} raised {type(error).__name__}, given {given}: {error}") from error
 
 
 def _nothing(cloud: Clouds) -> Features:

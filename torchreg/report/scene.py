@@ -76,7 +76,7 @@ def scene_of(source: Clouds, target: Clouds, count: int) -> Scene:
         ValueError: a batch of several clouds.
     """
     for name, cloud in (("source", source), ("target", target)):
-        expect_in_words(len(cloud) == 1, name, "a batch of one (cloud.select(b) picks one)", f"{len(cloud)} clouds")
+        expect_in_words(len(cloud) == 1, name, "a batch of one (cloud[b] picks one)", f"{len(cloud)} clouds")
     points, colors = [], []
     for cloud in (source, target):
         all_points = cloud.points.detach().cpu().double().numpy()

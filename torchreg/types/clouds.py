@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchreg.errors import expect, expect_shape
+from torchreg.errors import ArgumentTypeError, described_with_type, expect, expect_shape
 from torchreg.types.held import Offsets, PerItem, PerRow, held
 from torchreg.types.packing import checked_offsets, offsets_of, spans
 from torchreg.types.padded import PaddedClouds, checked_lengths, pad, unpad
@@ -60,7 +60,7 @@ class Clouds(PackedBatch):
     viewpoint_assumed: Tensor = held(PerItem(), default=None)  # filled in below: no viewpoint is a guess
 
     def __post_init__(self) -> None:
-        expect_shape(self.points, "points", ("P", 3), "floating")
+        _expect_points(self.points)
         rows, device = self.points.shape[0], self.points.device
         offsets = torch.tensor([0, rows], device="cpu") if self.offsets is None else self.offsets
         object.__setattr__(self, "offsets", checked_offsets(offsets, rows))
@@ -129,13 +129,16 @@ class Clouds(PackedBatch):
 
     @staticmethod
     def from_padded(
-        points: Tensor, lengths: Tensor, colors: Tensor | None = None, normals: Tensor | None = None
+        points: Tensor,
+        lengths: Tensor | Sequence[int],
+        colors: Tensor | None = None,
+        normals: Tensor | None = None,
     ) -> Clouds:
         """Make a batch of padded points (B, N, 3), of which cloud b has the first ``lengths[b]``; gradients flow.
 
         Args:
             points: meters; rows behind are ignored, whatever they hold.
-            lengths: (B,) whole numbers from 0 to N.
+            lengths: B whole numbers from 0 to N, a tensor (B,) or a sequence.
             colors: (B, N, 3) sRGB in [0, 1].
             normals: (B, N, 3) of unit length.
 
@@ -143,7 +146,7 @@ class Clouds(PackedBatch):
             ValueError: shapes that differ, or lengths without room.
 
         Example:
-            >>> Clouds.from_padded(torch.rand(2, 7, 3), torch.tensor([7, 4])).lengths
+            >>> Clouds.from_padded(torch.rand(2, 7, 3), [7, 4]).lengths
             [7, 4]
         """
         offsets = checked_lengths(lengths, points)
@@ -211,10 +214,21 @@ class Clouds(PackedBatch):
 
 _MADE_OF: tuple[tuple[Any, str], ...] = (
     (Tensor, "Clouds(points) of points (P, 3) in meters"),
-    (np.ndarray, "from_numpy(points) of points (P, 3) in meters"),
+    (np.ndarray, "torchreg.from_numpy(points) of points (P, 3) in meters"),
     ((list, tuple), "Clouds.from_list(points) of tensors (P, 3) in meters"),
 )
 """How clouds are made of what may come in their place."""
+
+
+def _expect_points(points: Tensor) -> None:
+    """Check the points of clouds; the message about an array, a list or padded points says what takes these."""
+    if not isinstance(points, Tensor):
+        takes = Clouds._made_of(points)
+        raise ArgumentTypeError(f"points: expected a tensor (P, 3), got {described_with_type(points)}; try {takes}")
+    if points.ndim == 3:
+        shape = tuple(points.shape)
+        raise ValueError(f"points: expected (P, 3), got {shape}; try Clouds.from_padded(points, lengths) of (B, N, 3)")
+    expect_shape(points, "points", ("P", 3), "floating")
 
 
 def _cat_like(name: str, values: Sequence[Tensor], points: Sequence[Tensor]) -> Tensor:

@@ -33,6 +33,12 @@ class Features(PackedBatch):
         >>> rows = tr.Features(torch.eye(3), torch.tensor([0, 3]), (("any", 3),), torch.tensor([True, True, False]))
         >>> rows.values.shape, rows.blocks
         (torch.Size([3, 3]), (('any', 3),))
+
+        Of values (P, D) of a network of your own, all of them valid:
+
+        >>> clouds, values = tr.Clouds(torch.rand(9, 3)), torch.rand(9, 16)
+        >>> len(tr.Features(values, clouds.offsets, (("mine", 16),), torch.ones(9, dtype=torch.bool)))
+        1
     """
 
     noun: ClassVar[str] = "clouds"
@@ -60,6 +66,14 @@ class Features(PackedBatch):
             " + ".join(f"{name} {width}" for name, width in self.blocks) or "no block",
             where(self.values),
         )
+
+    @staticmethod
+    def _made_of(value: object) -> str:
+        """How features are made of a tensor that came in their place, for messages."""
+        if not isinstance(value, Tensor):
+            return ""
+        width = value.shape[1] if value.ndim == 2 else "D"
+        return f'Features(values, clouds.offsets, (("mine", {width}),), valid) with valid (P,) bool'
 
     def block(self, name: str) -> Tensor:
         """The columns (P, width) of one block, a view.

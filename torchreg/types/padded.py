@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from numbers import Integral
 from typing import NamedTuple
 
 import torch
@@ -42,10 +44,15 @@ def pad(rows: Tensor, offsets: Tensor) -> Tensor:
     return torch.nn.utils.rnn.pad_sequence(parts, batch_first=True)
 
 
-def checked_lengths(lengths: Tensor, points: Tensor) -> Tensor:
+def checked_lengths(lengths: Tensor | Sequence[int], points: Tensor) -> Tensor:
     """The offsets (B+1,) of items of these lengths (B,), of which each padded item (B, N, ...) has room."""
     expect_shape(points, "points", ("B", "N", 3), "floating")
     items, room = points.shape[:2]
+    if not isinstance(lengths, Tensor):
+        several = isinstance(lengths, Sequence) and not isinstance(lengths, str)
+        counts = several and all(isinstance(one, Integral) and not isinstance(one, bool) for one in lengths)
+        expect(counts, "lengths", "whole numbers, as a tensor (B,) or a sequence", lengths)
+        lengths = torch.tensor(lengths, dtype=torch.int64, device="cpu")
     expect_shape(lengths, "lengths", (items,))
     whole = not (lengths.is_floating_point() or lengths.is_complex() or lengths.dtype == torch.bool)
     expect(whole, "lengths", "whole numbers", lengths)
