@@ -6,11 +6,13 @@ import oracles
 import pytest
 import torch
 from closeness import close
-from determinism import same_bits
+from determinism import pieces, same_bits
 from problems import oriented_room, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
+from torchreg.descriptors.neighbor_pairs import pair_pieces
+from torchreg.geometry.numerics.chunks import CACHE_ELEMENTS
 
 BOTH = [tr.pfh, tr.pfhrgb]
 
@@ -145,3 +147,27 @@ def test_colors_are_needed():
     near = tr.neighbors(cloud, 0.7, 20)
     with refuses("cloud", "colors", "none"):
         tr.pfhrgb(tr.Clouds(points=cloud.points, normals=cloud.normals), near)
+
+
+def test_a_row_of_many_pairs_is_cut():
+    near = tr.neighbors(sphere_cloud(600, seed=1), 3.0, 600)
+    near = near.of_rows(0, 3)
+    slot = torch.arange(600.0)
+    found = [[] for _ in range(3)]
+    for piece in pair_pieces(near, [slot]):
+        assert piece.valid.numel() <= CACHE_ELEMENTS
+        for row, one, other in zip(range(3)[piece.rows], piece.first[0], piece.second[0], strict=True):
+            found[row].append(one.long() * 600 + other.long())
+    later, earlier = torch.tril_indices(600, 600, -1)
+    for row, each in enumerate(found):
+        assert torch.equal(torch.cat(each), near.index[row][later] * 600 + near.index[row][earlier])
+
+
+@pytest.mark.parametrize("describe", BOTH)
+def test_cuts_of_rows_show_in_no_bit(describe):
+    cloud = sphere_cloud(40, seed=1)
+    near = tr.neighbors(cloud, 3.0, 40)
+    expected = describe(cloud, near)
+    for elements in (1, 50, 300):
+        with pieces(elements):
+            assert same_bits(describe(cloud, near), expected)

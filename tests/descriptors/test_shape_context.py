@@ -67,6 +67,27 @@ def test_frames_are_right_handed_and_turn_with_the_cloud():
     assert close(other, one @ T[:3, :3].mT.to(one), atol=1e-6)
 
 
+@pytest.mark.parametrize("unit", [2.0**-30, 2.0**30])
+def test_the_unit_of_points_does_not_show(unit):
+    cloud = sphere_cloud(120, seed=4).to(dtype=torch.float32)
+    other = tr.Clouds(points=unit * cloud.points, normals=cloud.normals)
+    near, far = tr.neighbors(cloud, 0.75, 40), tr.neighbors(other, 0.75 * unit, 40)
+    frames = tangent_frames(cloud.points, cloud.normals, near)
+    assert same_bits(tangent_frames(other.points, other.normals, far), frames)
+    for binning in ("hard", "soft"):
+        found = tr.shape_context(other, far, binning=binning).values
+        assert same_bits(unit * found, tr.shape_context(cloud, near, binning=binning).values)
+
+
+def test_x_is_found_where_neighbors_lie_close_to_the_normal():
+    aside = torch.tensor([0.8, 0.6, 0.0])
+    points = torch.stack([torch.zeros(3), *(1e-11 * (k + 1) * aside for k in range(4))])
+    points[1:, 2] = torch.tensor([0.1, 0.2, 0.3, -0.2])
+    cloud = tr.Clouds(points=points, normals=torch.tensor([0.0, 0, 1]).expand(5, 3))
+    frame = tangent_frames(cloud.points, cloud.normals, tr.neighbors(cloud, 1.0, 5))[0]
+    assert close(frame[0], aside, atol=1e-3)
+
+
 def test_x_points_where_most_neighbors_lie():
     line = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [-0.1, 0, 0], [0, 0.05, 0]])
     cloud = tr.Clouds(points=line, normals=torch.tensor([0.0, 0, 1]).expand(5, 3))
@@ -143,6 +164,10 @@ def test_what_does_not_fit_is_refused():
         tr.shape_context(cloud, near, frames=torch.eye(3)[None])
     with refuses("frames", "finite"):
         tr.shape_context(cloud, near, frames=torch.full((50, 3, 3), float("nan")))
+    with refuses("frames", "finite"):
+        tr.shape_context(cloud.to(dtype=torch.float32), near, frames=torch.full((50, 3, 3), 1e300, dtype=torch.float64))
+    with refuses("points", "float32 or float64", "float16"):
+        tr.shape_context(cloud.to(dtype=torch.float16), near)
     with refuses("inner", "below 1", "1"):
         tr.ShapeContext(radius=1, inner=1.0)
     with refuses("bins", "1", "0"):

@@ -1,5 +1,6 @@
 """SHOT, with colors and without: against plain loops and PCL, and what must not show in it."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from refusals import refuses
 
 import torchreg as tr
 from torchreg.descriptors.lab import lab
+from torchreg.descriptors.shot_votes import places, votes
 from torchreg.native import native_kernels
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "real"
@@ -233,6 +235,40 @@ def test_what_is_missing_is_named(describe):
         describe(replace(cloud, normals=None), near)
     with refuses("frames"):
         describe(cloud, near, frames=torch.eye(3))
+
+
+@both
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(
+    ("dtype", "bad"), [(torch.float32, math.nan), (torch.float32, math.inf), (torch.float64, 1e300)]
+)
+def test_frames_and_normals_that_are_not_finite_in_the_dtype_of_points_are_refused(describe, compiled, dtype, bad):
+    cloud, near = oriented_room(50)
+    frames, normals = tr.local_frames(cloud, near).to(dtype), cloud.normals.to(dtype)
+    frames[7], normals[7] = bad, bad
+    with native_kernels(compiled):
+        with refuses("frames", "finite"):
+            describe(cloud, near, frames=frames)
+        with refuses("normals", "finite"):
+            describe(replace(cloud, normals=normals), near)
+        with refuses("values", "finite"):
+            tr.cshot(cloud, near, values=normals)
+
+
+@both
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_points_of_half_precision_are_refused(describe, dtype):
+    cloud, near = oriented_room(50)
+    with refuses("points", "float32 or float64", str(dtype).removeprefix("torch.")):
+        describe(replace(cloud, points=cloud.points.to(dtype)), near)
+
+
+def test_a_value_that_is_no_number_stays_in_its_histogram():
+    offset = torch.full((1, 3), 0.3)
+    place = places(*(offset,) * 3, torch.ones(1, 3, dtype=torch.bool), torch.ones(1, 1))
+    index, _ = votes(place, torch.tensor([[math.nan, 12.0, -3.0]]), torch.ones(1, 3, dtype=torch.bool), 10)
+    assert int(index.min()) >= 0
+    assert int(index.max()) < 352
 
 
 def test_colors_or_values_of_theirs_are_needed():

@@ -1,16 +1,18 @@
 """Spin images: plain loops say the same, gradients are true, and signs of normals mirror."""
 
 import math
+from importlib import import_module
 
 import pytest
 import torch
 from closeness import close
-from determinism import assert_nothing_shows
+from determinism import assert_nothing_shows, same_bits
 from gradients import FEW, TROUBLE, assert_derivatives, finite_gradients, leaves, small
 from problems import oriented_room, sphere_cloud
 from refusals import refuses
 
 import torchreg as tr
+from torchreg.geometry.numerics.chunks import CACHE_ELEMENTS
 
 OPTIONS = [
     {},
@@ -133,3 +135,15 @@ def test_what_does_not_fit_is_refused():
         tr.SpinImages(radius=1, structure="round")
     with refuses("width", "1", "0"):
         tr.SpinImages(radius=1, width=0)
+
+
+def test_pieces_stay_small_whatever_the_size_of_an_image(monkeypatch):
+    cloud, near = oriented_room(200)
+    sizes, expected = [], tr.spin_images(cloud, near, width=64).values
+
+    spin = import_module("torchreg.descriptors.spin_images")
+    plain = spin.grid_votes
+    monkeypatch.setattr(spin, "grid_votes", lambda *given: sizes.append(plain(*given)) or sizes[-1])
+    assert same_bits(tr.spin_images(cloud, near, width=64).values, expected)
+    assert sum(len(each) for each in sizes) == 200
+    assert max(each.numel() for each in sizes) <= CACHE_ELEMENTS

@@ -99,6 +99,23 @@ def test_shot_is_that_of_torch(count, kind, dtype):
         assert same_both_ways(lambda given=given: tr.cshot(cloud, near, frames=given))
 
 
+@pytest.mark.parametrize("describe", [tr.shot, tr.cshot])
+@pytest.mark.parametrize("large", ["points", "normals", "frames"])
+def test_shot_of_numbers_whose_products_are_endless_is_that_of_torch(describe, large):
+    cloud = cloud_of(300)
+    near = replace(supports(cloud)["wide"], radius=0.4)
+    frames = 4 * torch.nn.functional.normalize(
+        torch.rand(300, 3, 3, generator=torch.Generator().manual_seed(2)) - 0.5, dim=2
+    )
+    factor = torch.where(torch.arange(300) % 3 == 0, 3e38, 1.0)[:, None]
+    if large == "frames":
+        frames = frames * (factor * 0.25)[..., None]
+    else:
+        cloud = replace(cloud, **{large: getattr(cloud, large) * factor})
+    assert same_both_ways(lambda: describe(cloud, near, frames=frames))
+    assert torch.isfinite(describe(cloud, near, frames=frames).values).all()
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_fpfh_is_that_of_torch_on_other_clouds(seed):
     cloud = cloud_of(500, seed)

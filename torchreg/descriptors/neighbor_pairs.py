@@ -29,14 +29,14 @@ class SlotPairs(NamedTuple):
     second: Tensor  # (M,) int64, the earlier one
 
 
-def slot_pairs(width: int, device: torch.device) -> SlotPairs:
-    """Every pair of two of ``width`` slots once."""
-    first, second = torch.tril_indices(width, width, -1, device=device)
-    return SlotPairs(first, second)
+def slot_pairs(width: int, device: torch.device, begin: int = 0) -> SlotPairs:
+    """Every pair of two of ``width`` slots once; from ``begin`` on, those whose later slot is not before it."""
+    first, second = torch.tril_indices(width - begin, width, begin - 1, device=device)
+    return SlotPairs(first + begin if begin else first, second)
 
 
 class PairPiece(NamedTuple):
-    """Some rows of neighborhoods, with C columns of numbers of both points of each of the M pairs in a row."""
+    """Some rows of neighborhoods, with C columns of numbers of both points of M of the pairs in each row."""
 
     rows: slice
     first: tuple[Tensor, ...]  # (r, M) each
@@ -45,17 +45,21 @@ class PairPiece(NamedTuple):
 
 
 def pair_pieces(near: Neighborhoods, columns: list[Tensor]) -> Iterator[PairPiece]:
-    """Pieces of all rows that stay in the cache, with columns (P,) of the points."""
-    pairs = slot_pairs(near.max_neighbors, near.index.device)
-    for rows in row_chunks(len(near), len(pairs.first)):
-        index, valid = near.index[rows], near.valid[rows]
-        slots = [gather(column, index) for column in columns]
-        yield PairPiece(
-            rows,
-            tuple(slot.index_select(1, pairs.first) for slot in slots),
-            tuple(slot.index_select(1, pairs.second) for slot in slots),
-            valid.index_select(1, pairs.first) & valid.index_select(1, pairs.second),
-        )
+    """Pieces that stay in the cache, with columns (P,) of the points.
+
+    Together they hold each pair of each row once. Where a row has too many of them, several pieces share its pairs.
+    """
+    for later in row_chunks(near.max_neighbors, near.max_neighbors):
+        pairs = slot_pairs(later.stop, near.index.device, later.start)
+        for rows in row_chunks(len(near), len(pairs.first)):
+            index, valid = near.index[rows, : later.stop], near.valid[rows, : later.stop]
+            slots = [gather(column, index) for column in columns]
+            yield PairPiece(
+                rows,
+                tuple(slot.index_select(1, pairs.first) for slot in slots),
+                tuple(slot.index_select(1, pairs.second) for slot in slots),
+                valid.index_select(1, pairs.first) & valid.index_select(1, pairs.second),
+            )
 
 
 def pair_cells(bins: tuple[Tensor, Tensor, Tensor]) -> Tensor:

@@ -131,13 +131,11 @@ def pair_histograms(points: Tensor, normals: Tensor, near: Neighborhoods) -> Ten
         return _histograms_compiled(points, normals, near)
     near = used_slots(near)
     columns = [column.contiguous() for column in (*points.detach().unbind(1), *normals.detach().unbind(1))]
-    out = points.new_empty(len(points), PFH_SIZE)
+    counts = torch.zeros(len(points), PFH_SIZE, dtype=torch.int32, device=points.device)
     for piece in pair_pieces(near, columns):
         cell = _cells(Oriented(*piece.first), Oriented(*piece.second))
-        counts = count_votes(cell, piece.valid.to(torch.int32), PFH_SIZE)
-        share = pair_share(near.valid[piece.rows], points.dtype)
-        torch.mul(counts.to(points.dtype), share, out=out[piece.rows])
-    return out
+        counts[piece.rows] += count_votes(cell, piece.valid.to(torch.int32), PFH_SIZE)
+    return counts.to(points.dtype).mul_(pair_share(near.valid, points.dtype))
 
 
 @fusible

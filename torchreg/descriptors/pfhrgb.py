@@ -112,15 +112,12 @@ def colored_pair_histograms(points: Tensor, normals: Tensor, colors: Tensor, nea
         return _histograms_compiled(points, normals, colors, near)
     near = used_slots(near)
     columns = [column.contiguous() for part in (points, normals, colors) for column in part.detach().unbind(1)]
-    out = points.new_empty(len(points), PFHRGB_SIZE)
+    counts = torch.zeros(len(points), PFHRGB_SIZE, dtype=torch.int32, device=points.device)
     for piece in pair_pieces(near, columns):
-        counts = torch.zeros(len(piece.valid), PFHRGB_SIZE, dtype=torch.int32, device=points.device)
         for first, second in ((piece.first, piece.second), (piece.second, piece.first)):
             cells = torch.cat(_cells(first, second), dim=1)
-            counts += count_votes(cells, piece.valid.to(torch.int32).repeat(1, 2), PFHRGB_SIZE)
-        share = pair_share(near.valid[piece.rows], points.dtype)
-        torch.mul(counts.to(points.dtype), share, out=out[piece.rows])
-    return out
+            counts[piece.rows] += count_votes(cells, piece.valid.to(torch.int32).repeat(1, 2), PFHRGB_SIZE)
+    return counts.to(points.dtype).mul_(pair_share(near.valid, points.dtype))
 
 
 @fusible

@@ -32,7 +32,7 @@ from torchreg.descriptors.pfh import expect_oriented
 from torchreg.descriptors.soft.arguments import expect_binning, expect_finite
 from torchreg.descriptors.soft.shape_context import soft_shape_context
 from torchreg.entry import entry
-from torchreg.errors import at_least, expect, expect_floating, expect_shape, fraction
+from torchreg.errors import at_least, expect, expect_precise, expect_shape, fraction
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.geometry.numerics.roots import square_root
@@ -84,20 +84,20 @@ def shape_context(
         normals, densities and the neighborhood are held fixed.
 
     Raises:
-        ValueError: neither normals nor frames, neighborhoods of unknown radius, shapes that do not fit, numbers that
-            are not finite, or an option out of its range.
+        ValueError: neither normals nor frames, neighborhoods of unknown radius, shapes that do not fit, points that are
+            not float32 or float64, numbers that are not finite in their dtype, or an option out of its range.
     """
     _expect_options(bins, inner, density)
     expect_binning(binning, bandwidth, edges=None, neighbor_weights=None)
+    expect_precise(cloud.points, "points")
     if frames is None:
         normals = expect_oriented(cloud, near)
         frames = tangent_frames(cloud.points, normals, near)
-    expect_floating(cloud.points, "points")
     expect_rows(near, cloud)
     expect_shape(frames, "frames", (len(cloud.points), 3, 3), "floating")
     expect_finite(cloud.points, "points")
-    expect_finite(frames, "frames")
     frames = frames.to(cloud.points)
+    expect_finite(frames, "frames")
     radius = support_radius(near, cloud.points)
     votes = 1 / near.restrict(density * radius[:, 0]).counts().clamp(min=1).to(cloud.points)
     edges = radius_edges(bins[2], inner)
@@ -154,7 +154,8 @@ def tangent_frames(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tens
 
     z is the normal; x is the direction in the tangent plane along which the neighbors spread farthest, each weighted by
     radius - distance, and their weighted sum lies in front; y = z x x. Zero where all neighbors lie on the normal.
-    Where they spread alike in all directions, or lie alike in front and behind, noise decides. No gradients.
+    Where they spread alike in all directions, or lie alike in front and behind, noise decides. All lengths are parts of
+    the radius, so that the unit of the points does not show. No gradients.
     """
     points, normals = points.detach(), normals.detach()
     radius, out = support_radius(near, points), points.new_zeros(len(points), 3, 3)
@@ -162,9 +163,10 @@ def tangent_frames(points: Tensor, normals: Tensor, near: Neighborhoods) -> Tens
     first, second = _tangents(normals)
     for rows in row_chunks(len(points), near.max_neighbors):
         votes = neighbor_votes(near.index, near.valid, rows)
-        dx, dy, dz = (gather(column, near.index[rows]) - column[rows, None] for column in columns)
+        offsets = ((gather(column, near.index[rows]) - column[rows, None]) / radius[rows] for column in columns)
+        dx, dy, dz = (torch.where(votes, offset, 0) for offset in offsets)
         distance = square_root(dx * dx + dy * dy + dz * dz)
-        weights = torch.where(votes, radius[rows] - distance, 0).clamp_(min=0)
+        weights = torch.where(votes, 1 - distance, 0).clamp_(min=0)
         a, b = (dx * axis[rows, 0:1] + dy * axis[rows, 1:2] + dz * axis[rows, 2:3] for axis in (first, second))
         aa, ab, bb, front_a, front_b = (
             lane_sums(weights * part, NEIGHBOR_LANES) for part in (a * a, a * b, b * b, a, b)
@@ -261,6 +263,9 @@ def _tangents(normals: Tensor) -> tuple[Tensor, Tensor]:
 
 def _half_angle(cosine: Tensor, sine: Tensor) -> tuple[Tensor, Tensor]:
     """The direction of half the angle of (cosine, sine), of any length; (1, 0) for zero."""
+    largest = torch.maximum(cosine.abs(), sine.abs())
+    largest = torch.where(largest > 0, largest, 1)
+    cosine, sine = cosine / largest, sine / largest  # the squares of which are neither lost nor endless
     length = square_root(cosine * cosine + sine * sine)
     share = cosine / torch.where(length > 0, length, 1)
     half_cosine = square_root(((1 + share) * 0.5).clamp(min=0))

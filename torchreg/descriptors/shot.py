@@ -12,6 +12,7 @@ A row is divided by its length.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -35,7 +36,7 @@ from torchreg.descriptors.shot_votes import (
 )
 from torchreg.descriptors.soft.arguments import expect_finite
 from torchreg.entry import entry
-from torchreg.errors import expect_floating, expect_shape
+from torchreg.errors import expect_precise, expect_shape
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.geometry.numerics.gather import gather
@@ -58,7 +59,8 @@ def shot(cloud: Clouds, near: Neighborhoods, *, frames: Tensor | None = None) ->
         cloud: points and unit normals; P rows.
         near: the support of every point, with its radius, the point itself counted. PCL takes all neighbors within the
             radius: give enough slots.
-        frames: (P, 3, 3), orthonormal axes as rows, zero where there are none; ``None`` for ``local_frames``.
+        frames: (P, 3, 3), orthonormal axes as rows, zero where there are none (NaN, which PCL writes there, is
+            refused); ``None`` for ``local_frames``.
 
     Returns:
         Features of one block ("shot", 352): 32 volumes (azimuth first, then shell, then half) of 11 bins. Rows have
@@ -72,7 +74,8 @@ def shot(cloud: Clouds, near: Neighborhoods, *, frames: Tensor | None = None) ->
         The backward pass computes pieces again, so memory stays that of one.
 
     Raises:
-        ValueError: no normals, neighborhoods without a radius, or shapes that do not fit.
+        ValueError: no normals, neighborhoods without a radius, shapes that do not fit, points that are not float32 or
+            float64, or numbers that are not finite in their dtype.
 
     Example:
         >>> import torch, torchreg as tr
@@ -104,11 +107,12 @@ def cshot(
         together. All else as ``shot``; gradients flow to colors (or ``values``), too.
 
     Raises:
-        ValueError: no colors or normals, neighborhoods without a radius, or shapes that do not fit.
+        ValueError: no colors or normals, or what ``shot`` refuses.
     """
     if values is None:
         values = lab(colors_of(cloud))
     expect_shape(values, "values", (len(cloud.points), 3), "floating")
+    values = values.to(cloud.points.dtype)
     expect_finite(values, "values")
     described = _described(cloud, near, frames, values)
     return Features(described, cloud.offsets, (("cshot", CSHOT_SIZE),), valid=largest_entries(described) != 0)
@@ -170,14 +174,16 @@ def _described(cloud: Clouds, near: Neighborhoods, frames: Tensor | None, colors
         raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
     expect_rows(near, cloud)
     points, normals, radius = cloud.points, cloud.normals, support_radius(near, cloud.points)
-    expect_floating(points, "points")
+    expect_precise(points, "points")
+    normals = normals.to(points.dtype)
     expect_finite(points, "points")
     expect_finite(normals, "normals")
     if frames is None:
         frames = local_frames(cloud, near)
-    expect_shape(frames, "frames", (len(points), 3, 3), "floating")
-    frames = frames.to(points.dtype)
-    normals, colors = normals.to(points.dtype), None if colors is None else colors.to(points.dtype)
+    else:
+        expect_shape(frames, "frames", (len(points), 3, 3), "floating")
+        frames = frames.to(points.dtype)
+        expect_finite(frames, "frames")
     given = (points, normals, frames) if colors is None else (points, normals, frames, colors)
     wanted = derivative_wanted(*given)
     if native(*given, near.index, near.valid) and points.dtype in KERNEL_TYPES and not wanted:
@@ -204,12 +210,15 @@ def _rows(
     """Some rows (r, 352 or 1344) of columns x, y, z and those of the normals, and of colors."""
     index, frame = near.index[part], frames[part]
     offset = [gather(column, index) - column[part, None] for column in columns[:3]]  # (r, K) each
-    x, y, z = (_dot([frame[:, axis, i, None] for i in range(3)], offset) for axis in range(3))
+    turned = [_dot([frame[:, axis, i, None] for i in range(3)], offset) for axis in range(3)]
     framed = (frame != 0).any(dim=2).any(dim=1)[:, None]
-    counted = near.valid[part] & framed & (_dot(offset, offset) > 0)
+    square = _dot(offset, offset)
+    counted = near.valid[part] & framed & (square > 0) & (square < math.inf) & (_dot(turned, turned) < math.inf)
+    x, y, z = (torch.where(counted, axis, 0) for axis in turned)
     place = places(x, y, z, counted, radius[part])
     normal = [gather(column, index) for column in columns[3:]]
-    cosine = _dot([frame[:, 2, i, None] for i in range(3)], normal).clamp(-1, 1)
+    cosine = _dot([frame[:, 2, i, None] for i in range(3)], normal)
+    cosine = torch.where(cosine >= -1, cosine, -1).clamp(max=1)  # a number for NaN, too
     result = histograms(*votes(place, (1 + cosine) * (SHAPE_BINS / 2), counted, SHAPE_BINS), SHOT_SIZE)
     sums = lane_sums(result * result, NEIGHBOR_LANES)
     if of_color:

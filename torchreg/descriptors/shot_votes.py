@@ -102,11 +102,12 @@ def places(x: Tensor, y: Tensor, z: Tensor, counted: Tensor, radius: Tensor) -> 
 def votes(place: Places, value: Tensor, counted: Tensor, bins: int) -> tuple[Tensor, Tensor]:
     """Bins (r, 5 K) int64 and the votes for them, of values (r, K) in [0, bins] in histograms of bins + 1 each.
 
-    As in PCL, what passes from the last bin but one to the last goes to the first instead.
+    As in PCL, what passes from the last bin but one to the last goes to the first instead. No other value, NaN neither,
+    leaves the histogram.
     """
     nearest = (value.detach() + 0.5).floor()
     beside = value - nearest
-    step = nearest.long()
+    step = nearest.long().clamp(0, bins)
     next_step = torch.where(beside > 0, step + 1, step + bins - 1) % bins
     weight = counted.to(value.dtype)
     width = bins + 1

@@ -79,7 +79,10 @@ def spin_images(
     def image(piece: Piece) -> Tensor:
         return _images(piece, width, support_cosine, structure == "radial", content == "angles")
 
-    values = by_rows(image, torch.cat(columns, dim=1), near) if len(points) > 0 else points.new_empty(0, nodes)
+    if len(points) > 0:
+        values = by_rows(image, torch.cat(columns, dim=1), near, width=max(near.max_neighbors, nodes))
+    else:
+        values = points.new_empty(0, nodes)
     return Features(values, cloud.offsets, (("spin_images", nodes),), valid=largest_entries(values) != 0)
 
 

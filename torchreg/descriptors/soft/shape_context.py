@@ -45,7 +45,7 @@ def soft_shape_context(
 
 def _context(piece: Piece, bins: tuple[int, int, int], ends: Tensor, bandwidth: float) -> Tensor:
     """Counts (r, product of bins) of points whose columns are x, y, z, the frame, the radius and the vote."""
-    dx, dy, dz = (piece.neighbor[i] - piece.query[i] for i in range(3))
+    dx, dy, dz = ((piece.neighbor[i] - piece.query[i]) / piece.query[12] for i in range(3))  # parts of the radius
     x, y, z = (dx * piece.query[axis] + dy * piece.query[axis + 1] + dz * piece.query[axis + 2] for axis in (3, 6, 9))
     square, across = dx * dx + dy * dy + dz * dz, x * x + y * y
     apart = distinct(square) & (piece.votes != 0)
@@ -56,10 +56,9 @@ def _context(piece: Piece, bins: tuple[int, int, int], ends: Tensor, bandwidth: 
     distance = torch.where(apart, torch.where(apart, square, 1).sqrt(), 0)
     height = torch.where(aside, across, 1).sqrt() * aside
     elevation = angle(torch.where(framed, height, 0), torch.where(framed, z, 1)) * (1 / math.pi)
-    part = (distance / piece.query[12]).clamp(max=1)
     shares = (
         bin_shares(azimuth, bins[0], bandwidth, circular=True),
         bin_shares(elevation, bins[1], bandwidth),
-        bin_shares(part, bins[2], bandwidth, edges=ends.expand(len(part), -1)),
+        bin_shares(distance.clamp(max=1), bins[2], bandwidth, edges=ends.expand(len(distance), -1)),
     )
     return grid_votes(shares, framed.to(square.dtype) * piece.neighbor[13].detach(), bins)

@@ -2,6 +2,7 @@
 #include "slots.hpp"
 #include "sums.hpp"
 
+#include <limits>
 #include <type_traits>
 
 namespace torchreg {
@@ -101,7 +102,7 @@ void places(Votes<T>& v, int64_t count, T radius, const T* angles, T steps) {
     }
 }
 
-// votes of descriptors/shot_votes.py, cast: of values[k] in histograms of `bins` + 1.
+// votes of descriptors/shot_votes.py, cast: of values[k] in histograms of `bins` + 1. No value leaves them.
 template <typename T>
 void vote(Votes<T>& v, const T* values, int64_t count, int64_t bins, T steps, int64_t* sums) {
     using Count = typename Whole<T>::type;
@@ -109,7 +110,8 @@ void vote(Votes<T>& v, const T* values, int64_t count, int64_t bins, T steps, in
 #pragma GCC ivdep
     for (int64_t k = 0; k < count; ++k) {
         const T value = values[k];
-        const Count step = static_cast<Count>(value + T(0.5));
+        const Count nearest = static_cast<Count>(value + T(0.5));
+        const Count step = nearest < 0 ? 0 : nearest > last ? last : nearest;
         const T beside = value - static_cast<T>(step);
         Count next = beside > T(0) ? step + 1 : step - 1;
         next = next >= last ? next - last : next;
@@ -154,6 +156,7 @@ int64_t describe(const T* points, const T* normals, const T* frames, const T* ra
     const int64_t size = colors ? SHAPE_SIZE + COLOR_SIZE : SHAPE_SIZE;
     const T steps = static_cast<T>(whole);
     const double share = 1.0 / whole;
+    constexpr T endless = std::numeric_limits<T>::infinity();
     parallel(threads, count, ROWS, [&](int64_t begin, int64_t end, int64_t) {
         std::vector<int64_t> sums(size);
         Votes<T> v;
@@ -177,14 +180,16 @@ int64_t describe(const T* points, const T* normals, const T* frames, const T* ra
                     v.y[taken] = dot(f[3], f[4], f[5], dx, dy, dz);
                     v.z[taken] = dot(f[6], f[7], f[8], dx, dy, dz);
                     T cosine = dot(f[6], f[7], f[8], other[3], other[4], other[5]);
-                    cosine = cosine < T(-1) ? T(-1) : cosine;
+                    cosine = cosine >= T(-1) ? cosine : T(-1);  // a number for NaN, too
                     cosine = cosine > T(1) ? T(1) : cosine;
                     v.cosine[taken] = (T(1) + cosine) * T(SHAPE_BINS / 2);
                     const T lightness = std::fabs(other[6] - own[6]);
                     const T a = std::fabs(other[7] - own[7]), b = std::fabs(other[8] - own[8]);
                     const T difference = (lightness + (a + b) * T(0.5)) / T(3);
                     v.difference[taken] = (difference > T(1) ? T(1) : difference) * T(COLOR_BINS);
-                    taken += (flags[k] != 0) & (dot(dx, dy, dz, dx, dy, dz) > T(0));
+                    const T square = dot(dx, dy, dz, dx, dy, dz);
+                    const T turned = dot(v.x[taken], v.y[taken], v.z[taken], v.x[taken], v.y[taken], v.z[taken]);
+                    taken += (flags[k] != 0) & (square > T(0)) & (square < endless) & (turned < endless);
                 }
                 places<N>(v, taken, radius[row], angles, steps);
                 vote(v, v.cosine, taken, SHAPE_BINS, steps, sums.data());
