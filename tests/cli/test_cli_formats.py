@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from made_e57 import write_e57
 
 import torchreg as tr
@@ -45,6 +46,32 @@ def test_info_of_a_scan(run, project):
     shown = json.loads(run("info", project, "--scan", "second", "--json", "-").stdout)
     assert (shown["scan"], shown["pose"], shown["has_intensity"], shown["unit"]) == ("second", None, False, None)
     assert "second" in run("info", project, "--scan", "1").stdout
+
+
+def test_info_of_a_file_of_several_scans_shows_them_all(run, project, tmp_path):
+    ended = run("info", project, "--json", tmp_path / "scans.json")
+    assert ended.exit_code == 0
+    shown = json.loads((tmp_path / "scans.json").read_text())["scans"]
+    for number, (name, one) in enumerate(zip(("first", "second"), shown, strict=True)):
+        count = json.loads(run("info", project, "--scan", name, "--json", "-").stdout)["points_in_file"]
+        assert (one["number"], one["scan"], one["points_in_file"]) == (number, name, count)
+        assert (one["has_colors"], one["pose"], one["scanner"]) == (True, None, None)
+        row = next(line for line in ended.stdout.splitlines() if name in line)
+        assert f"{count:,}" in row
+        assert "not known" in row
+    assert json.loads(run("info", project, "--json", "-").stdout)["scans"] == shown
+
+
+def test_info_of_several_scans_shows_poses_and_scanners(run, tmp_path):
+    T = torch.eye(4, dtype=torch.float64)
+    T[:3, 3] = torch.tensor([1.0, -2.0, 0.5])
+    scans = [tr.io.posed_scan(tr.Clouds(torch.rand(9, 3)), T, name=name) for name in "ab"]
+    tr.io.write_scans(tmp_path / "project.ptx", scans)
+    shown = json.loads(run("info", tmp_path / "project.ptx", "--json", "-").stdout)["scans"]
+    assert [one["scanner"] for one in shown] == [[1.0, -2.0, 0.5]] * 2
+    assert [one["pose"] for one in shown] == [T.tolist()] * 2
+    assert [one["has_colors"] for one in shown] == [False] * 2
+    assert "1.000, -2.000, 0.500" in run("info", tmp_path / "project.ptx").stdout
 
 
 def test_columns_and_units_of_text(run, tmp_path):

@@ -9,9 +9,11 @@ from problems import room_site, sphere_cloud
 from sites import errors
 
 import torchreg as tr
+from torchreg.cli.progress import batch_progress
 from torchreg.geometry.se3 import rigid, transform
 from torchreg.geometry.small_motions import rotation_of
 from torchreg.io.poses_csv import write_poses_csv
+from torchreg.site import SiteProgress
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,14 @@ def test_scans_of_a_room_become_poses_a_cloud_and_a_page(run, rooms, tmp_path):
     result = run("site", *paths, "--out", tmp_path / "out", "--merged", merged, "--spacing", "0.1", "--report", page)
     assert result.exit_code == 0, result.output
     assert "all 3 scans are placed in one frame" in result.stdout
+    lines = (
+        "describing clouds: 3 of 3",
+        "registering pairs: 0 of 3",
+        "registering pairs: 3 of 3",
+        "placing scans: 0 of 3",
+    )
+    places = [result.stderr.index(line) for line in (*lines, "refining pairs: ")]
+    assert places == sorted(places)
     names, groups, poses = poses_of(tmp_path / "out")
     assert names == list(map(str, paths))
     assert groups == ["0", "0", "0"]
@@ -178,6 +188,41 @@ def test_usage_is_checked_before_anything_is_read(run, tmp_path, monkeypatch, wo
     result = run("site", "missing.ply", *words)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "message"),
+    [
+        ("--control", "name,scan,x,y,z\n", "expected a header with name, scan, x, y, z, X, Y, Z"),
+        ("--control", "name,scan,x,y,z,X,Y,Z\nA,0,1,2,three,4,5,6\n", "line 2: expected a number in the column z"),
+        ("--poses", "scan,m00\n", "expected a header with scan, m00, m01"),
+    ],
+)
+def test_tables_are_checked_before_anything_is_read_or_begun(run, tmp_path, option, text, message):
+    (tmp_path / "table.csv").write_text(text)
+    result = run("site", tmp_path / "missing.ply", "--out", tmp_path / "out", option, tmp_path / "table.csv")
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupted_run_says_that_it_goes_on(run, tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchreg.cli.site.run_site", interrupted)
+    result = run("site", tmp_path / "a.ply", "--out", tmp_path / "out", "--workers", "0")
+    assert result.exit_code == 130
+    assert f"what was done is kept in {tmp_path / 'out'}; the same command resumes from there" in result.stderr
+
+
+def test_a_line_is_said_where_a_stage_begins_and_ends(capsys):
+    with batch_progress() as report:
+        for stage, done in (("describe", 0), ("describe", 1), ("describe", 3), ("register", 0), ("register", 1)):
+            report(SiteProgress(stage, done, 3))
+    said = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
+    counts = ("describing clouds: 0 of 3", "describing clouds: 3 of 3", "registering pairs: 0 of 3")
+    assert said == [f"torchreg: {words}" for words in counts]
 
 
 def test_no_scan_that_can_be_read_is_an_error(run, tmp_path):

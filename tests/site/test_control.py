@@ -14,6 +14,7 @@ from sites import made_poses, made_site
 from torchreg.errors import CloudFileError
 from torchreg.geometry.se3 import apply, compose, inverse, rigid
 from torchreg.geometry.small_motions import rotation_of
+from torchreg.io.scan_table import scan_number
 from torchreg.site import place
 from torchreg.site.control import (
     ControlPoint,
@@ -134,6 +135,40 @@ def test_a_table_is_read_by_names_and_numbers(tmp_path):
         ControlPoint("B", 0, (4.0, 5.0, 6.0), (40.0, 50.0, 60.0)),
         ControlPoint("C", 2, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
     ]
+
+
+NAMES = [f"scans/project.e57 [{own}]" for own in ("floor-0/office-1", "floor-0/office-2", "3", "hall")]
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("floor-0/office-2", 1),
+        ("project.e57 [floor-0/office-2]", 1),
+        ("scans/project.e57 [hall]", 3),
+        ("hall", 3),
+        ("0", 0),
+    ],
+)
+def test_a_scan_of_a_file_of_several_is_meant_by_its_own_name(text, number):
+    assert scan_number(text, NAMES, "--fix") == number
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "parts"),
+    [
+        ("attic", NAMES, ("from 0 to 3, got 'attic'; the names are 'project.e57 [floor-0/office-1]', ",)),
+        ("3", NAMES, ("the name of one scan, got '3', which 2 have", "[3]'", "[hall]'")),
+        ("hall", ["a.e57 [hall]", "b.e57 [hall]"], ("which 2 have: 'a.e57 [hall]', 'b.e57 [hall]'",)),
+        ("a", ["x/s.ply", "y/s.ply"], ("the names are 'x/s.ply', 'y/s.ply'",)),
+        ("a", [f"{number}.ply" for number in range(20)], ("'7.ply', ...",)),
+    ],
+)
+def test_a_name_that_means_no_scan_or_several_is_answered_with_names(text, names, parts):
+    with pytest.raises(CloudFileError) as caught:
+        scan_number(text, names, "--fix")
+    for part in ("--fix: expected ", *parts):
+        assert part in str(caught.value)
 
 
 @pytest.mark.parametrize(

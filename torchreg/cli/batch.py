@@ -148,7 +148,7 @@ def _run(pairs: tuple[Pair, ...], store: Store, engine: Engine, work: Work, boun
                 pairs, store, engine, described=described, bounds=bounds, max_bytes=work.max_bytes, report=report
             )
         except KeyboardInterrupt:
-            done = f"{len(store.finished()):,} of {len(pairs):,} pairs are finished"
+            done = f"{len(store.finished()):,} of {len(pairs):,} pairs are finished and kept in {store.folder}"
             complain(f"{done}; the same command resumes from there")
             raise
     for damage in store.damaged:

@@ -144,15 +144,16 @@ def batch_progress() -> Iterator[Callable[[WorkProgress], None]]:
 
 
 def _lines() -> Callable[[WorkProgress], None]:
-    """A function that prints a line every few seconds, and one at the end of a stage."""
-    pace, last = _Pace(), 0.0
+    """A function that prints a line every few seconds, and one where a stage begins and ends."""
+    pace, last, stage = _Pace(), 0.0, ""
 
     def show(progress: WorkProgress) -> None:
-        nonlocal last
+        nonlocal last, stage
         words, now = pace.words(progress), time.monotonic()
-        if progress.total == 0 or (now - last < _SECONDS_BETWEEN_LINES and progress.done < progress.total):
+        soon = now - last < _SECONDS_BETWEEN_LINES and progress.stage == stage
+        if progress.total == 0 or (soon and progress.done < progress.total):
             return
-        last = now
+        last, stage = now, progress.stage
         doing, what = _WORDS[progress.stage]
         complain(f"{doing} {what}: {progress.done:,} of {progress.total:,}{f', {words}' if words else ''}")
 

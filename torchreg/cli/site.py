@@ -20,7 +20,7 @@ from torchreg.cli.progress import batch_progress
 from torchreg.cli.site_frame import HowToFrame, points_in_words, remove_control_csv, write_control_csv
 from torchreg.cli.site_outputs import SiteOutputs, check_site_outputs, write_site_outputs
 from torchreg.cli.wording import by_options
-from torchreg.cli.work import Work
+from torchreg.cli.work import Work, resumable
 from torchreg.errors import one_of
 from torchreg.io import Reading
 from torchreg.io.formats import formats_in_words
@@ -144,6 +144,7 @@ def site(
     wanted.check()
     shard = sharing.chosen()
     check_site_outputs(outputs, [*scans, *wanted.files], out)
+    wanted.check_tables()
     how = reading.reading()
     manifest = {
         **computing_versions(),
@@ -155,7 +156,12 @@ def site(
     expect_run_folder(out, OF_SHARDS)
     folder = out if shard is None else shard.folder(out)
     folder.parent.mkdir(exist_ok=True, parents=shard is not None)
-    with closing(work.start()) as engine, SiteStore(folder, manifest) as store, batch_progress() as report:
+    with (
+        closing(work.start()) as engine,
+        SiteStore(folder, manifest) as store,
+        resumable(out),
+        batch_progress() as report,
+    ):
         settings = SiteSettings(reading=how, effort=effort, seed=seed)
         described = work.folder(out)
         if shard is not None:
@@ -188,7 +194,8 @@ def site(
     write_poses_csv(out / "poses.csv", names, result.group, result.T_world_scan)
     write_json(out / "site.json", site_to_dict(result, names, seed=seed), through_link=False)
     written = [out / "poses.csv", out / "site.json"]
-    written += write_site_outputs(outputs, result, run.found, how, written)
+    with resumable(out):
+        written += write_site_outputs(outputs, result, run.found, how, written)
     if result.control:
         write_control_csv(out / "control.csv", result.control, names)
         written.append(out / "control.csv")

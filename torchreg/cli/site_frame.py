@@ -16,9 +16,9 @@ import typer
 from torchreg.errors import expect, expect_in_words, positive
 from torchreg.io.atomic import write_text
 from torchreg.io.csv_cells import cell_of_text
-from torchreg.io.poses_csv import read_poses_csv
+from torchreg.io.poses_csv import check_poses_csv, read_poses_csv
 from torchreg.io.scan_table import scan_number
-from torchreg.site.control import JudgedPoint, read_control_points
+from torchreg.site.control import JudgedPoint, check_control_points, read_control_points
 from torchreg.site.frame import SiteFrame
 
 OF_FILES = "files"
@@ -37,7 +37,8 @@ class HowToFrame:
         typer.Option(
             "--fix",
             metavar="SCAN",
-            help="The scan that stays where it is, by its name or its number (from 0): in the frame of its file, or "
+            help="The scan that stays where it is, by the name of its file or its own name in a file of several, or by "
+            "its number (from 0): in the frame of its file, or "
             "at the pose that --poses gives it.",
             rich_help_panel=_PANEL,
         ),
@@ -76,7 +77,7 @@ class HowToFrame:
             "--control",
             metavar="FILE.csv",
             help="Control points: a table with the header name, scan, x, y, z, X, Y, Z; x y z in the frame of the "
-            "scan's file, X Y Z in the world, in meters. Residuals go to control.csv.",
+            "scan's file, its pose applied, X Y Z in the world, in meters. Residuals go to control.csv.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -105,6 +106,17 @@ class HowToFrame:
         """The tables that are read."""
         poses = [] if self.poses in (None, OF_FILES) else [Path(str(self.poses))]
         return [*poses, *([] if self.control is None else [self.control])]
+
+    def check_tables(self) -> None:
+        """Check the tables as far as that is possible before scans are read, which takes long.
+
+        Raises:
+            CloudFileError: a table that cannot be read, lacks a column or has a cell that is no number.
+        """
+        if self.poses is not None and self.poses != OF_FILES:
+            check_poses_csv(self.poses)
+        if self.control is not None:
+            check_control_points(self.control)
 
     def frame(self, names: Sequence[str], posed: Sequence[bool]) -> SiteFrame:
         """What is known of the frame of scans of these names; ``posed``: whether their files have poses for them.

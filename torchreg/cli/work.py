@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -11,8 +13,19 @@ import typer
 
 from torchreg.batch import Engine, LocalEngine, RayEngine
 from torchreg.cli import options as opt
+from torchreg.cli.guard import complain
 from torchreg.errors import expect
 from torchreg.io.atomic import remove_remains
+
+
+@contextmanager
+def resumable(folder: Path) -> Iterator[None]:
+    """Say, where this block is interrupted, that what was done is kept in ``folder``."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        complain(f"what was done is kept in {folder}; the same command resumes from there")
+        raise
 
 
 class EngineKind(str, Enum):

@@ -16,7 +16,7 @@ from torchreg.geometry.rigid_check import expect_rigid
 from torchreg.io.atomic import write_text
 from torchreg.io.checks import require
 from torchreg.io.csv_cells import cell_of_text
-from torchreg.io.scan_table import read_scan_table, scan_number
+from torchreg.io.scan_table import ScanRow, read_scan_table, scan_number
 
 COLUMNS = ("scan", "group", *(f"m{row}{column}" for row in range(4) for column in range(4)))
 """Of the table: the pose is T_world_scan, row by row."""
@@ -68,16 +68,31 @@ def read_poses_csv(path: str | os.PathLike[str], names: Sequence[str]) -> list[S
         CloudFileError: a table that cannot be read, a scan that is not among these or comes twice, or a matrix that is
             no rigid transform; the message names file and line.
     """
-    numbers = COLUMNS[2:]
     poses: dict[int, Tensor] = {}
-    for row in read_scan_table(path, ("scan", *numbers)):
-        if all(row.cells[column] == "" for column in numbers):
-            continue
+    for row, T in _pose_rows(path):
         text = row.cells["scan"]
         scan = scan_number(text[1:] if text.startswith("'") else text, names, row.where)
         require(scan not in poses, row.where, "one pose of a scan", f"another of {names[scan]}")
-        T = torch.tensor(row.numbers(numbers), dtype=torch.float64).view(4, 4)
-        expect_rigid(T, row.where)
         poses[scan] = T
-    require(bool(poses), path, "at least one pose", "none")
     return [ScanPose(scan, T) for scan, T in poses.items()]
+
+
+def check_poses_csv(path: str | os.PathLike[str]) -> None:
+    """Check a table of poses as far as that is possible before the scans are known.
+
+    Raises:
+        CloudFileError: as for ``read_poses_csv``, but for the names of scans.
+    """
+    _pose_rows(path)
+
+
+def _pose_rows(path: str | os.PathLike[str]) -> list[tuple[ScanRow, Tensor]]:
+    """The rows of a table that have a pose, and the poses (4, 4)."""
+    numbers, rows = COLUMNS[2:], []
+    for row in read_scan_table(path, ("scan", *numbers)):
+        if any(row.cells[column] != "" for column in numbers):
+            T = torch.tensor(row.numbers(numbers), dtype=torch.float64).view(4, 4)
+            expect_rigid(T, row.where)
+            rows.append((row, T))
+    require(bool(rows), path, "at least one pose", "none")
+    return rows

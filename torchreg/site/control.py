@@ -20,12 +20,14 @@ from torchreg.errors import at_least, expect
 from torchreg.geometry.kabsch import kabsch
 from torchreg.geometry.se3 import apply, apply_rotation, compose, rigid
 from torchreg.geometry.small_motions import cross_matrix, rotation_of
-from torchreg.io.scan_table import read_scan_table, scan_number
+from torchreg.io.scan_table import ScanRow, read_scan_table, scan_number
 from torchreg.site.links import KnownPose
 from torchreg.types.loading import loadable
 
 SIGMA = 0.01
 """Meters: the deviation of a control point, as far as it can be seen in a scan."""
+
+_Place = tuple[float, float, float]
 
 _FAR = 4.0  # deviations beyond which a point is suspicious
 _LEAST = 3
@@ -86,13 +88,19 @@ def read_control_points(path: str | os.PathLike[str], names: Sequence[str]) -> l
         CloudFileError: a table that cannot be read, a cell that is no number or a scan that is not among these; the
             message names file and line.
     """
-    points = []
-    for row in read_scan_table(path, ("name", "scan", "x", "y", "z", "X", "Y", "Z")):
-        x, y, z, X, Y, Z = row.numbers(("x", "y", "z", "X", "Y", "Z"))
-        points.append(
-            ControlPoint(row.cells["name"], scan_number(row.cells["scan"], names, row.where), (x, y, z), (X, Y, Z))
-        )
-    return points
+    return [
+        ControlPoint(row.cells["name"], scan_number(row.cells["scan"], names, row.where), place, world)
+        for row, place, world in _control_rows(path)
+    ]
+
+
+def check_control_points(path: str | os.PathLike[str]) -> None:
+    """Check a table of control points as far as that is possible before the scans are known.
+
+    Raises:
+        CloudFileError: as for ``read_control_points``, but for the names of scans.
+    """
+    _control_rows(path)
 
 
 def expect_scans(points: Sequence[ControlPoint], count: int) -> None:
@@ -178,6 +186,15 @@ def poses_of_points(points: Sequence[ControlPoint], T_world_scan: Tensor) -> lis
         even = (covariance + covariance.t()) / 2
         known.append(KnownPose(scan=scan, T_world_scan=T, covariance=even, center=center + shift))
     return known
+
+
+def _control_rows(path: str | os.PathLike[str]) -> list[tuple[ScanRow, _Place, _Place]]:
+    """The rows of a table of control points, and their places in the scan and in the world."""
+    rows = []
+    for row in read_scan_table(path, ("name", "scan", "x", "y", "z", "X", "Y", "Z")):
+        x, y, z, X, Y, Z = row.numbers(("x", "y", "z", "X", "Y", "Z"))
+        rows.append((row, (x, y, z), (X, Y, Z)))
+    return rows
 
 
 def _places(points: Sequence[ControlPoint], T: Tensor) -> tuple[Tensor, Tensor]:

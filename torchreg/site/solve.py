@@ -135,7 +135,6 @@ class _Solver:
         pairs = [self.plan.pair(*pair) for pair in wanted]
         total = len(self.found) + len(pairs)
         self.pairs += pairs
-        self._tell(total)
         for part in self.work.registered(pairs, self.seed):
             self.found |= {(one.tried.source, one.tried.target): one for one in part}
             self._tell(total)

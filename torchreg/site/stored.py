@@ -175,6 +175,7 @@ class StoredWork:
         broken = [place for place in left if any(key in self._lost for key in pairs[place].sides())]
         if broken:
             yield [self._failed(pairs[place]) for place in broken]
+        yield []
         left = [place for place in left if place not in set(broken)]
         failed: list[int] = []
         for places, outcome in self._run(self._slices(pairs, left), pairs, seed):

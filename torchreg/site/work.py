@@ -52,7 +52,7 @@ class SiteWork(Protocol):
         """What is compared of described scans to choose pairs, each as pairs of these options match it."""
 
     def registered(self, pairs: Sequence[SitePair], seed: int) -> Iterator[list[PairFound]]:
-        """Register pairs, in any order, some at a time."""
+        """Register pairs, in any order, some at a time; a part without any says that their scans are described."""
 
     def described(self, key: DescriptionKey) -> DescribedClouds:
         """The described scan of a key, a batch of one."""
@@ -142,6 +142,7 @@ class WorkInMemory:
     def registered(self, pairs: Sequence[SitePair], seed: int) -> Iterator[list[PairFound]]:
         """As ``SiteWork``'s."""
         self._describe([key for pair in pairs for key in pair.sides()])
+        yield []
         for places in self._slices(pairs):
             yield registered_slice([pairs[place] for place in places], self._described.__getitem__, seed)
 
