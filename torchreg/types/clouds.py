@@ -220,7 +220,7 @@ _MADE_OF: tuple[tuple[Any, str], ...] = (
 """How clouds are made of what may come in their place."""
 
 
-def _expect_points(points: Tensor) -> None:
+def _expect_points(points: object) -> None:
     """Check the points of clouds; the message about an array, a list or padded points says what takes these."""
     if not isinstance(points, Tensor):
         takes = Clouds._made_of(points)
