@@ -81,7 +81,7 @@ def test_the_unit_of_points_does_not_show(unit):
 
 def test_x_is_found_where_neighbors_lie_close_to_the_normal():
     aside = torch.tensor([0.8, 0.6, 0.0])
-    points = torch.stack([torch.zeros(3), *(1e-11 * (k + 1) * aside for k in range(4))])
+    points = torch.stack([torch.zeros(3), *(1e-13 * (k + 1) * aside for k in range(4))])
     points[1:, 2] = torch.tensor([0.1, 0.2, 0.3, -0.2])
     cloud = tr.Clouds(points=points, normals=torch.tensor([0.0, 0, 1]).expand(5, 3))
     frame = tangent_frames(cloud.points, cloud.normals, tr.neighbors(cloud, 1.0, 5))[0]
