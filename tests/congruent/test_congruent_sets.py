@@ -9,6 +9,7 @@ from problems import numbers, random_points, seeded, turned
 
 from torchreg.congruent.bases import Bases, draw_bases
 from torchreg.congruent.pairs import found_pairs, pair_table, rarest
+from torchreg.congruent.poses import CommonPoints, ScoredPoses
 from torchreg.congruent.sets import congruent_sets
 from torchreg.congruent.sides import CloudSide, Tolerances, cross, dot, side_of, unit
 from torchreg.types import Clouds
@@ -69,7 +70,7 @@ def test_pairs_are_those_of_a_loop_over_all_of_them(normals, signed):
     within = Tolerances(meters=0.05, normals=normals, colors=0.8, signed=signed)
     found = found_pairs(pair_table(other, 0.0, 2.0), one, other, bases, 0, within)
     got = set(zip(found.base.tolist(), found.first.tolist(), found.second.tolist(), strict=True))
-    slack = math.sin(min(normals, math.pi / 2))
+    slacks = [2 * math.sin(min(share * normals, math.pi) / 2) for share in (1, 1, 2)]
     wanted = set()
     for base, (a, b) in enumerate(bases.corners[:2].t().tolist()):
         length, angles = described(one, a, b)
@@ -77,14 +78,46 @@ def test_pairs_are_those_of_a_loop_over_all_of_them(normals, signed):
             apart, theirs = described(other, i, j)
             fits = abs(apart - length) <= 0.05
             if normals < math.pi:
-                both = zip(angles, theirs, strict=True)
-                fits &= all(abs(x - y) <= slack if signed else abs(abs(x) - abs(y)) <= slack for x, y in both)
+                both = zip(angles, theirs, slacks, strict=True)
+                fits &= all(abs(x - y) <= slack if signed else abs(abs(x) - abs(y)) <= slack for x, y, slack in both)
             fits &= all(float((one.colors[:, x] - other.colors[:, y]).norm()) <= 0.8 for x, y in ((a, i), (b, j)))
             if fits:
                 wanted.add((base, i, j))
     assert got == wanted
     assert len(wanted) > 0
     assert len(got) == len(found.base)
+
+
+@pytest.mark.parametrize("degrees", [10.0, 25.0, 80.0, 130.0])
+@pytest.mark.parametrize("signed", [True, False])
+def test_no_pair_is_lost_whose_normals_are_each_within_the_angle(degrees, signed):
+    one, angle = side(60), math.radians(degrees)
+    bases = draw_bases(one, 40, 0.9, 0.1, seeded())
+    a, b = bases.corners[:2]
+    for seed in range(8):
+        axis = unit(cross(one.normals, numbers(3, 60, seed=seed).float()))  # across the normals, each off by all of it
+        off = one.normals * math.cos(angle) + cross(axis, one.normals) * math.sin(angle)
+        other = one._replace(normals=off if signed else off * numbers(60, seed=9).sign().float())
+        within = WIDE._replace(normals=angle * (1 + 1e-4), signed=signed)
+        found = found_pairs(pair_table(other, 0.0, 2.0), one, other, bases, 0, within)
+        got = set(zip(found.base.tolist(), found.first.tolist(), found.second.tolist(), strict=True))
+        assert got >= set(zip(range(len(a)), a.tolist(), b.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("signed", [True, False])
+def test_normals_that_are_left_out_change_no_score(signed):
+    one, within = side(200), WIDE._replace(signed=signed)
+    eye = ScoredPoses(
+        torch.eye(3, dtype=torch.float64)[..., None], torch.full((3, 1), 0.01).double(), torch.zeros(1).double()
+    )
+    others = [one.normals, -one.normals, side(200, seed=9).normals, None]
+    scores, strict = (
+        [float(CommonPoints(one, one._replace(normals=each), limits).exactly(eye).score) for each in others]
+        for limits in (within, within._replace(normals=0.5))
+    )
+    assert scores[0] > 0
+    assert len(set(scores)) == 1
+    assert strict[2] < scores[2]
 
 
 def described(one, i, j):

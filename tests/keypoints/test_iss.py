@@ -11,6 +11,8 @@ import torch
 from determinism import assert_nothing_shows, same_bits
 from problems import garbage_in_invalid_slots, plane_cloud, random_transform, room_pair, seeded, sphere_cloud
 from refusals import refuses
+from stages import moved
+from stand_in import NAME, StandIn
 
 import torchreg as tr
 from torchreg.keypoints.iss import _salience
@@ -207,3 +209,34 @@ def test_rows_where_counts_by_cloud():
     found = rows_where(cloud, torch.tensor([True, False, True, True]))
     assert found.rows.tolist() == [0, 2, 3]
     assert found.offsets.tolist() == [0, 1, 1, 3]
+
+
+def copied_sizes(run):
+    """How many numbers each copy from the stand-in to the CPU holds."""
+    sizes = []
+
+    class Watched(StandIn):
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            before = self.transfers["_to_copy"]
+            result = super().__torch_dispatch__(func, types, args, kwargs)
+            if self.transfers["_to_copy"] > before:
+                sizes.append(result.numel())
+            return result
+
+    with Watched():
+        run()
+    return sizes
+
+
+def test_the_host_reads_a_number_per_cloud_and_none_per_point():
+    cloud = tr.Clouds(points=sphere_cloud(400).points, offsets=torch.tensor([0, 150, 400]))
+    radii = torch.full((400,), 0.5)
+    near = tr.neighbors(cloud, 0.5, 20)
+    near = tr.Neighborhoods(near.index, near.valid, near.sq_distance, radii)
+
+    def run():
+        there = moved(cloud, NAME)
+        tr.iss_keypoints(there, moved(near, NAME), (0.5 * radii).to(NAME))
+
+    assert 3 in copied_sizes(run)
+    assert max(copied_sizes(run)) <= 3

@@ -16,7 +16,7 @@ from refusals import refuses
 import torchreg as tr
 from torchreg.geometry.se3 import inverse
 from torchreg.native import native_kernels
-from torchreg.refinement import IcpLevel
+from torchreg.refinement import IcpLevel, levels
 from torchreg.refinement.color_axes import hue_circle, lab
 from torchreg.refinement.metric_search import MetricSearch
 
@@ -172,14 +172,63 @@ def test_the_nearest_in_all_dimensions_are_found(seed, count, axes, spread, comp
     queries[:10, :3] += 50.0
     with native_kernels(compiled):
         found = MetricSearch(points, 4)(queries)
-    assert torch.equal(found, brute_force(queries, points, 4))
+    assert torch.equal(found.rows, brute_force(queries, points, 4))
+
+
+@given(st.integers(0, 2**31), st.integers(65, 600), st.sampled_from([0.0, 0.03, 0.2, 1.0]), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_what_is_nearer_than_the_limit_is_found_and_all_else_is_bounded(seed, count, limit, compiled):
+    generator = seeded(seed)
+    points, queries = (torch.rand(n, 6, generator=generator, dtype=torch.float64) for n in (count, 60))
+    points[:, 2], queries[:20] = 0.0, points[:20]
+    queries[:20, 5] += 0.3
+    queries[20:30, :3] += 2.0
+    with native_kernels(compiled):
+        rows, beyond = MetricSearch(points, 4, limit)(queries)
+    expected = brute_force(queries, points, 4)
+    apart = (queries[:, None] - points).norm(dim=2)
+    wanted = apart.gather(1, expected) < limit
+    assert torch.equal(rows[wanted], expected[wanted])
+    assert bool((rows.sort(dim=1).values.diff(dim=1) > 0).all())
+    bound = torch.minimum(beyond, apart.gather(1, rows[:, -1:])[:, 0])
+    others = apart.scatter(1, rows, torch.inf)
+    assert bool((others.amin(dim=1) >= bound * (1 - 1e-9)).all())
+    assert bool((bound >= torch.minimum(apart.gather(1, expected[:, -1:])[:, 0], torch.tensor(limit))).all())
+
+
+@every_kind
+@pytest.mark.parametrize(("far", "scale"), [(0.5, 0.3), (0.0, 2.0)])
+def test_what_has_no_partner_costs_no_look_at_all_points(kind, far, scale, monkeypatch):
+    count, looked = 2000, []
+    source, target = wall(count, 5), wall(count, 6)
+    source = replace(source, colors=(source.colors + 0.2).clamp(max=1.0), points=source.points + far)
+    ranked = MetricSearch._ranked
+
+    def counted(self, queries, rows):
+        looked.append(rows.numel())
+        return ranked(self, queries, rows)
+
+    monkeypatch.setattr(MetricSearch, "_ranked", counted)
+    tr.icp(source, target, EYE, tr.IcpOptions(kind=kind, max_distance=0.3, iterations=1, color_scale=scale))
+    assert 0 < sum(looked) < count * count / 4
+
+
+@every_kind
+def test_the_limit_of_the_search_changes_no_result(kind, monkeypatch):
+    source, target = wall(900, 7), wall(900, 8)
+    source = replace(source, colors=(source.colors + 0.15).clamp(max=1.0), points=source.points + 0.02)
+    options = tr.IcpOptions(kind=kind, max_distance=0.1, iterations=8, color_scale=0.5)
+    limited = tr.icp(source, target, EYE, options)
+    assert 0 < float(limited.fitness) < 1
+    monkeypatch.setattr(levels, "MetricSearch", lambda points, count, limit: MetricSearch(points, count))
+    assert same_bits(limited, tr.icp(source, target, EYE, options))
 
 
 def test_of_equally_near_points_the_lower_rows_come_first():
     points = torch.zeros(300, 5, dtype=torch.float64)
     points[200:, 4] = 1.0
     found = MetricSearch(points, 4)(torch.tensor([[0.0, 0, 0, 0, 1.0], [0.0, 0, 0, 0, 0.2]], dtype=torch.float64))
-    assert found.tolist() == [[200, 201, 202, 203], [0, 1, 2, 3]]
+    assert found.rows.tolist() == [[200, 201, 202, 203], [0, 1, 2, 3]]
 
 
 def colors(*rows):

@@ -215,6 +215,14 @@ def test_what_a_rule_selects_is_checked():
         tr.nn.Register(replace(tr.PAPER, keypoints=Every()))
 
 
+def test_rules_for_some_clouds_alone_are_refused():
+    clouds, rule = tr.Clouds.pack([pair_of(200).source] * 2), tr.UniformKeypoints(voxel_size=0.4)
+    assert describe.select(clouds, None, [None, None]) is None
+    for rules in ([rule, None], [None, rule, rule.scaled(2)]):
+        with refuses("keypoints", "a rule for every cloud or for none"):
+            describe.select(clouds, None, rules)
+
+
 @every_rule
 def test_the_command_line_takes_a_rule_by_its_name(name):
     options = Settings(keypoints=name).over(tr.options_for(0.05))

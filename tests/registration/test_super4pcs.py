@@ -124,7 +124,15 @@ def test_a_symmetric_place_is_told_to_be_ambiguous():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("overlap", 0.0), ("overlap", 1.5), ("bases", 0), ("points", 3), ("threshold", 0.0), ("normal_degrees", -1.0)],
+    [
+        ("overlap", 0.0),
+        ("overlap", 1.5),
+        ("bases", 0),
+        ("points", 3),
+        ("threshold", 0.0),
+        ("normal_degrees", -1.0),
+        ("normal_degrees", 180.5),
+    ],
 )
 def test_options_out_of_range_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):

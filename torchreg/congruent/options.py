@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torchreg.arguments import checked_record
-from torchreg.errors import at_least, fraction, positive
+from torchreg.errors import at_least, expect, fraction, positive
 from torchreg.types.loading import loadable
 
 
@@ -24,7 +24,7 @@ class Super4pcsOptions:
         points: of each cloud that are searched, about: denser clouds are averaged over voxels first. Pairs of points,
             and the memory for them, grow with the square.
         threshold: in spacings of the points searched: lengths, crossings and points that differ by less agree.
-        normal_degrees: two normals agree within this angle; 180 leaves them out.
+        normal_degrees: in (0, 180], two normals agree within this angle; 180 leaves them out.
         color_distance: in sRGB, of [0, 1] a channel: two colors agree within this distance; ``None`` leaves them out.
 
     Raises:
@@ -43,6 +43,7 @@ class Super4pcsOptions:
         at_least(self.bases, "bases", 1)
         at_least(self.points, "points", 4)
         positive(self.threshold, "threshold")
-        positive(self.normal_degrees, "normal_degrees")
+        degrees = positive(self.normal_degrees, "normal_degrees")
+        expect(degrees <= 180, "normal_degrees", "an angle of at most 180", self.normal_degrees)
         if self.color_distance is not None:
             positive(self.color_distance, "color_distance")

@@ -137,18 +137,25 @@ def _agreeing(
         yield every, table.first, table.second
         yield every, table.second, table.first
         return
-    slack = math.sin(min(within.normals, math.pi / 2))
+    of_one, of_two = _slack(within.normals), _slack(2 * within.normals)  # one normal is off, or both are
 
-    def near(values: Tensor, cosine: float) -> Tensor:
+    def near(values: Tensor, cosine: float, slack: float) -> Tensor:
         if not within.signed:
             values, cosine = values.abs(), abs(cosine)
         return (values - cosine).abs_() <= slack
 
     first, second, both = wanted
-    rows = near(table.angles[2, begin:end], both).nonzero()[:, 0] + begin
+    rows = near(table.angles[2, begin:end], both, of_two).nonzero()[:, 0] + begin
     one, other = table.angles[0][rows], table.angles[1][rows]
-    yield rows[(near(one, first) & near(other, second)).nonzero()[:, 0]], table.first, table.second
-    yield rows[(near(one, -second) & near(other, -first)).nonzero()[:, 0]], table.second, table.first
+    as_they_stand = near(one, first, of_one) & near(other, second, of_one)
+    yield rows[as_they_stand.nonzero()[:, 0]], table.first, table.second
+    turned_round = near(one, -second, of_one) & near(other, -first, of_one)
+    yield rows[turned_round.nonzero()[:, 0]], table.second, table.first
+
+
+def _slack(radians: float) -> float:
+    """By how much the cosines of two angles differ at most that differ by ``radians``."""
+    return 2 * math.sin(min(radians, math.pi) / 2)
 
 
 def _distance(one: Tensor, other: Tensor) -> Tensor:

@@ -89,7 +89,7 @@ class CommonPoints:
         found = partners(self._search, pair, moved, valid, limit)
         close = found.square < limit[:, None]
         worth = torch.where(close, 1 - found.square / limit[:, None], 0.0)
-        if self._source.normals is not None and self._target.normals is not None:
+        if self._source.normals is not None and self._target.normals is not None and self._within.normals < math.pi:
             turned = moved_by(rotation, torch.zeros_like(rotation[0]), self._source.normals[:, rows])
             cosine = dot(turned, gather_columns(self._target.normals, found.row))
             cosine = cosine if self._within.signed else cosine.abs()

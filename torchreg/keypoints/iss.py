@@ -26,7 +26,7 @@ from torch import Tensor
 
 from torchreg.arguments import checked_record
 from torchreg.entry import entry
-from torchreg.errors import at_least, expect, positive
+from torchreg.errors import at_least, describe, expect, positive
 from torchreg.geometry.eigen import symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
@@ -183,5 +183,9 @@ def _expect_within(radius: float | Tensor, near: Neighborhoods) -> None:
         positive(radius, "non_max_radius")
     if near.radius is None:
         return
-    wider = torch.as_tensor(radius, dtype=torch.float64).cpu() > torch.as_tensor(near.radius).double().cpu()
-    expect(not bool(wider.any()), "non_max_radius", f"at most the radius of near ({near.radius})", radius)
+    # compared where the neighborhoods lie: the host reads one number
+    asked, searched = (
+        torch.as_tensor(each, dtype=torch.float64, device=near.index.device) for each in (radius, near.radius)
+    )
+    wider = bool((asked > searched).any())
+    expect(not wider, "non_max_radius", f"at most the radius of near ({describe(near.radius)})", radius)

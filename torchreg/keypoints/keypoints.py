@@ -100,9 +100,9 @@ class Keypoints(ABC):
 
 def rows_where(cloud: Clouds, chosen: Tensor) -> KeypointRows:
     """The rows of clouds where ``chosen`` (P,) bool is true."""
-    counts = chosen.long().cumsum(0).cpu() if len(chosen) > 0 else torch.zeros(0, dtype=torch.int64)
-    upto = torch.cat([counts.new_zeros(1), counts])
-    return KeypointRows(chosen.nonzero()[:, 0], upto[cloud.offsets])
+    counts = chosen.long().cumsum(0)
+    upto = torch.cat([counts.new_zeros(1), counts])  # (P+1,), of which the host reads one number per cloud
+    return KeypointRows(chosen.nonzero()[:, 0], upto[cloud.offsets.to(chosen.device)].cpu())
 
 
 def rows_of_clouds(cloud: Clouds, rows: list[Tensor]) -> KeypointRows:

@@ -24,13 +24,14 @@ from torchreg.neighborhoods.kd_tree import fits_tree
 from torchreg.neighborhoods.open3d_search import Tree
 from torchreg.neighborhoods.point_index import nearest_of_all
 from torchreg.refinement.blocks import BLOCK, Blocks
+from torchreg.refinement.found import Found
 from torchreg.refinement.tree_search import TreeSearch
 
 FEW = 4
 """Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few searches are repeated."""
 
-Search = Callable[[Tensor], Tensor]
-"""From queries (Q, S) to the rows of their nearest, (Q, min(FEW, N)), ascending by distance."""
+Search = Callable[[Tensor], Found]
+"""From queries (Q, S) to their nearest, (Q, min(FEW, N))."""
 
 _CHUNK_ROWS = 1 << 14  # rows decided at once: what they need stays in the cache
 _ROUNDING = 1e-12  # relative, on distances: a bound that close is not relied on
@@ -149,12 +150,12 @@ class Correspondence:
         queries = gather_columns(self.moved.flatten(1), rows).t().contiguous()  # (Q, S)
         ends = torch.tensor(self.blocks.counts).cumsum(0) * BLOCK
         cuts = torch.searchsorted(rows, ends.to(rows.device)).tolist()  # rows ascend, so pair after pair
-        few = rows.new_zeros(len(rows), FEW)
+        few, beyond = rows.new_zeros(len(rows), FEW), queries.new_empty(len(rows))
         full = torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
         begin = 0
         for end, search, first in _runs(self.target, self.pairs, cuts):
             if end > begin:
-                nearest = search(queries[begin:end])
+                nearest, beyond[begin:end] = search(queries[begin:end])
                 width = nearest.shape[1]
                 few[begin:end, :width] = nearest
                 few[begin:end, width:] = nearest[:, -1:]  # a target of fewer points, which has no others
@@ -162,12 +163,16 @@ class Correspondence:
                 full[begin:end] = width == FEW
             begin = end
         for part in row_chunks(len(rows), 1, _CHUNK_ROWS):
-            self._store(rows[part], queries[part].t().contiguous(), few[part], full[part])
+            self._store(rows[part], queries[part].t().contiguous(), Found(few[part], beyond[part]), full[part])
 
-    def _store(self, rows: Tensor, points: Tensor, few: Tensor, full: Tensor) -> None:
-        """Store the results ``few`` of a search for the rows (Q,) at points (S, Q); the last one bounds all others."""
+    def _store(self, rows: Tensor, points: Tensor, found: Found, full: Tensor) -> None:
+        """Store what a search found for the rows (Q,) at points (S, Q); the last one and the search bound all others.
+
+        ``full`` (Q,) is false where the target has no others.
+        """
+        few = found.rows
         last = _square(points, gather_columns(self.target.values[: len(points)], few[:, -1])).sqrt_()
-        others = torch.where(full, last, torch.inf)
+        others = torch.where(full, torch.minimum(last, found.beyond), torch.inf)
         few = few.sort(dim=1).values  # of equally near points the lower row counts
         self._decide(rows, points, few, others)
         self._few.view(-1, FEW).index_copy_(0, rows, few)
@@ -232,10 +237,10 @@ def few_nearest(points: Tensor) -> Search:
         return TreeSearch(points, FEW)
     if points.device.type == "cpu":
         tree = Tree(points)
-        return lambda queries: tree.nearest(queries, FEW)
+        return lambda queries: Found.of_all(tree.nearest(queries, FEW))
     return all_pairs(points)
 
 
 def all_pairs(points: Tensor, max_bytes: int = 256 * 2**20) -> Search:
     """The search that compares every query with every point, in chunks of ``max_bytes``."""
-    return lambda queries: nearest_of_all(queries, points, FEW, max_bytes)
+    return lambda queries: Found.of_all(nearest_of_all(queries, points, FEW, max_bytes))

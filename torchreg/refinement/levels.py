@@ -104,7 +104,9 @@ def _run(
         points = torch.cat([points, of_rows * kind.beside(clouds.source)[rows]], dim=1)
         values = _with_axes(values, kind.beside(clouds.target), _of_clouds(scale, of_target, len(first) - 1), first)
         axes = points.shape[1]
-        search = tuple(MetricSearch(values[i:j, :axes], FEW) for i, j in spans(clouds.target.offsets))
+        limits = max_distance.tolist()  # which later iterations only lower
+        parts = zip(spans(clouds.target.offsets), limits, strict=True)
+        search = tuple(MetricSearch(values[i:j, :axes], FEW, limit) for (i, j), limit in parts)
     searched = Target(values.t().contiguous(), tuple(first[b] for b in of_target), tuple(search[b] for b in of_target))
     matches = correspondences(blocks, blocks.fill(points), searched, criteria.max_distance)
     active = ActivePairs(matches, blocks.fill(extra[rows]), numbers(lengths))

@@ -259,10 +259,15 @@ def select(cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints 
     """The points (P,) bool that are matched, by the rule of every cloud; ``None`` where there are no rules.
 
     ``near`` is as wide as every support at least; rules differ in lengths only.
+
+    Raises:
+        ValueError: rules for some of the clouds, or one that selects rows which the clouds do not have.
     """
     given = [rule for rule in rules if rule is not None]
     if not given:
         return None
+    without = [number for number, rule in enumerate(rules) if rule is None]
+    expect_in_words(not without, "keypoints", "a rule for every cloud or for none", f"none for the clouds {without}")
     support, alike = None, all(rule == given[0] for rule in given)
     if given[0].support is not None and near is not None:
         reads = [rule.support for rule in given if rule.support is not None]
