@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from torchreg.io.assemble import RawCloud
@@ -34,7 +35,8 @@ def scan_heads(scans: Sequence[Scan]) -> list[ScanHead]:
         if isinstance(scan, RawCloud):
             head, points, colored = scan, len(scan.points), scan.colors is not None
         else:
-            first = next(scan.chunks(), None) if scan.rows != 0 else None
+            with np.errstate(invalid="ignore", over="ignore"):  # as in ``scans_of``
+                first = next(scan.chunks(), None) if scan.rows != 0 else None
             head, points, colored = scan.head, scan.rows, first is not None and first.colors is not None
         scanner = None if head.scanner is None else head.scanner.position
         heads.append(ScanHead(number, head.scan, points, colored, head.pose, scanner))
