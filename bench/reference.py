@@ -91,7 +91,6 @@ COMPARED = {
         size=9,
         ours=lambda cloud, near, extra: tr.local_frames(cloud, near).flatten(1),
         options=("omp",),
-        threaded=True,
         unit="unit vectors",
     ),
     "shot": Compared(
@@ -102,7 +101,6 @@ COMPARED = {
         size=352,
         ours=lambda cloud, near, extra: tr.shot(cloud, near).values,
         options=("omp",),
-        threaded=True,
         unit="unit length",
     ),
     "cshot": Compared(
@@ -113,7 +111,6 @@ COMPARED = {
         size=1344,
         ours=lambda cloud, near, extra: tr.cshot(cloud, near, values=lab_of_pcl(cloud.colors)).values,
         options=("omp",),
-        threaded=True,
         unit="unit length",
     ),
     "unique_shape_context": Compared(

@@ -92,11 +92,6 @@ def expect_floating(value: Tensor, name: str) -> None:
     expect(value.is_floating_point(), name, "a floating-point tensor", value)
 
 
-def expect_precise(value: Tensor, name: str) -> None:
-    """Check that a tensor holds numbers of at least single precision."""
-    expect(value.dtype in (torch.float32, torch.float64), name, "float32 or float64", value)
-
-
 def expect_dtype(value: Tensor, name: str, dtype: torch.dtype) -> None:
     """Check the dtype of a tensor."""
     expect(value.dtype == dtype, name, str(dtype).removeprefix("torch."), value)

@@ -97,3 +97,15 @@ def test_one_row_at_a_time_gives_the_same_bits(describe):
     expected = describe(cloud, near, 1.0)
     with pieces(1):
         assert same_bits(describe(cloud, near, 1.0), expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+@every_descriptor
+def test_halves_are_described_in_single_precision(describe, dtype):
+    cloud = sphere_cloud(150).to(dtype=torch.float32)
+    near = tr.neighbors(cloud, 0.6, 60)
+    half = cloud.to(dtype=dtype)
+    features = describe(half, near, 0.6)
+    assert features.values.dtype == torch.float32
+    assert torch.isfinite(features.values).all()
+    assert same_bits(features, describe(half.to(dtype=torch.float32), near, 0.6))

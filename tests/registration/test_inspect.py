@@ -130,3 +130,33 @@ def test_what_becomes_of_given_normals_is_noted():
     given = tr.register(blind, pair.target).notes[0]
     assert "normals of the source are estimated anew, on the sides of the given ones, where these agree" in given
     assert not any("normals of the target" in note for note in (*known, *given))
+
+
+@pytest.mark.parametrize("effort", ["plain", "balanced"])
+def test_a_descriptor_that_describes_nothing_is_named_with_its_scale(effort):
+    pair = room_pair(900)
+    packed = [tr.Clouds.pack([cloud, cloud]) for cloud in (pair.source, pair.target)]
+    options = replace(tr.options_for(0.2, colored=False), effort=effort)
+    blind = replace(options, descriptors=(tr.Fpfh(radius=1e-4),))
+    result = tr.register(*packed, [blind, options])
+    spacing = [facts_of(cloud)[0].spacing for cloud in (pair.source, pair.target)]
+    for note, name, about in zip(result.notes[0], ("source", "target"), spacing, strict=True):
+        text, _, number = note.rpartition(" the spacing of the points ")
+        assert text == f"fpfh describes no point of the {name}: its radius is 0.0001 m,"
+        assert float(number.removesuffix(" m")) == pytest.approx(about, rel=0.5)
+        assert note in result.reason[0]
+    assert result.reason[0].startswith("too few matches: 0")
+    assert result.notes[1] == ()
+    assert "describes no point" not in result.reason[1]
+
+
+def test_a_descriptor_that_describes_nothing_beside_others_is_noted_alone():
+    pair = room_pair(900)
+    both = (tr.Fpfh(radius=1e-4), tr.Contrast(radius=1.0))
+    options = replace(tr.options_for(0.2), descriptors=both, weights=(1.0, 1.0), effort="plain")
+    result = tr.register(pair.source, pair.target, options)
+    assert [note.split(":")[0] for note in result.notes[0]] == [
+        "fpfh describes no point of the source",
+        "fpfh describes no point of the target",
+    ]
+    assert "describes no point" not in result.reason[0]

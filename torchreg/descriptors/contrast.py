@@ -23,13 +23,13 @@ from torch import Tensor
 from torchreg.arguments import checked_record
 from torchreg.descriptors.color import colors_of
 from torchreg.descriptors.descriptor import Descriptor, largest_entries
-from torchreg.entry import entry
 from torchreg.errors import expect, positive
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.precision import full_precision
 
 CONTRAST_SIZE = 10
 INNER = 0.4
@@ -37,7 +37,7 @@ _FLOOR = 0.05
 _CONSTANT = 0.3
 
 
-@entry
+@full_precision
 def contrast(cloud: Clouds, near: Neighborhoods, radius: float | Tensor) -> Features:
     """Contrast of every point.
 

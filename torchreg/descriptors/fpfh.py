@@ -31,7 +31,6 @@ from torchreg.descriptors.pair_features import (
 )
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.fpfh import soft_fpfh
-from torchreg.entry import entry
 from torchreg.errors import expect_floating, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.compiled import fusible
@@ -39,11 +38,12 @@ from torchreg.geometry.numerics.gather import gather
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.neighborhoods import expect_rows
+from torchreg.types.precision import full_precision
 
 FPFH_SIZE = 3 * ANGLE_BINS
 
 
-@entry
+@full_precision
 def fpfh(
     cloud: Clouds,
     near: Neighborhoods,

@@ -18,7 +18,6 @@ from torch.utils.checkpoint import checkpoint
 
 from torchreg.descriptors.descriptor import support_radius
 from torchreg.descriptors.soft.arguments import expect_finite
-from torchreg.entry import entry
 from torchreg.errors import expect_floating
 from torchreg.geometry.eigen import least_eigenvector, symmetric_eigen
 from torchreg.geometry.numerics.chunks import row_chunks
@@ -28,6 +27,7 @@ from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import KERNEL_TYPES, call, native, rows
 from torchreg.types import Clouds, Neighborhoods
 from torchreg.types.neighborhoods import expect_rows
+from torchreg.types.precision import full_precision
 
 LEAST_NEIGHBORS = 5
 """Apart from the point; with fewer there is no frame."""
@@ -35,7 +35,7 @@ LEAST_NEIGHBORS = 5
 _MIDDLE = 2  # neighbors on each side of the median that decide where the others are even
 
 
-@entry
+@full_precision
 def local_frames(cloud: Clouds, near: Neighborhoods) -> Tensor:
     """The local reference frame of every point.
 

@@ -25,13 +25,13 @@ from torchreg.descriptors.descriptor import Descriptor, largest_entries
 from torchreg.descriptors.histograms import add_weighted_neighbors, count_votes, neighbor_votes
 from torchreg.descriptors.soft.arguments import bin_edges, expect_binning, expect_finite, slot_weights
 from torchreg.descriptors.soft.pcfh import soft_pcfh
-from torchreg.entry import entry
 from torchreg.errors import at_least, expect, expect_shape, one_of
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.neighborhoods import expect_rows
+from torchreg.types.precision import full_precision
 
 CHANNELS = ("hue", "saturation", "value")
 EQUALIZATIONS = ("none", "cloud", "joint")
@@ -39,7 +39,7 @@ MIN_NEIGHBORS = 3
 _VOTE_STEPS = 1024  # a weighted vote is a whole number of 1/1024, so that sums are exact
 
 
-@entry
+@full_precision
 def pcfh(
     cloud: Clouds,
     near: Neighborhoods,

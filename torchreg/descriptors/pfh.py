@@ -34,17 +34,17 @@ from torchreg.descriptors.neighbor_pairs import (
 from torchreg.descriptors.pair_features import Oriented, angle_bins, compact_pair_features, unit_bins
 from torchreg.descriptors.soft.arguments import expect_binning, expect_finite
 from torchreg.descriptors.soft.pfh import soft_pfh
-from torchreg.entry import entry
 from torchreg.errors import expect_floating
 from torchreg.geometry.numerics.compiled import fusible
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.neighborhoods import expect_rows
+from torchreg.types.precision import full_precision
 
 PFH_SIZE = PAIR_CELLS
 
 
-@entry
+@full_precision
 def pfh(cloud: Clouds, near: Neighborhoods, *, binning: str = "hard", bandwidth: float = 1.0) -> Features:
     """PFH of every point.
 

@@ -37,10 +37,10 @@ from torchreg.descriptors.pair_features import Oriented, angle_bins, compact_pai
 from torchreg.descriptors.pfh import expect_oriented, with_mirrored_angles
 from torchreg.descriptors.soft.arguments import expect_binning
 from torchreg.descriptors.soft.pfh import soft_pfhrgb
-from torchreg.entry import entry
 from torchreg.geometry.numerics.compiled import fusible
 from torchreg.native import call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.precision import full_precision
 
 PFHRGB_SIZE = 2 * PAIR_CELLS
 
@@ -49,7 +49,7 @@ RATIO_EDGES = (-0.6 + 1e-6, -0.2 - 1e-6, 0.2 - 1e-6, 0.6 - 1e-6)
 each edge is moved a little, so that all of these fall on the side on which PCL's arithmetic has them."""
 
 
-@entry
+@full_precision
 def pfhrgb(cloud: Clouds, near: Neighborhoods, *, binning: str = "hard", bandwidth: float = 1.0) -> Features:
     """PFHRGB of every point.
 

@@ -31,14 +31,14 @@ from torchreg.descriptors.histograms import neighbor_votes
 from torchreg.descriptors.pfh import expect_oriented
 from torchreg.descriptors.soft.arguments import expect_binning, expect_finite
 from torchreg.descriptors.soft.shape_context import soft_shape_context
-from torchreg.entry import entry
-from torchreg.errors import at_least, expect, expect_precise, expect_shape, fraction
+from torchreg.errors import at_least, expect, expect_floating, expect_shape, fraction
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.gather import gather
 from torchreg.geometry.numerics.roots import square_root
 from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.neighborhoods import expect_rows
+from torchreg.types.precision import full_precision
 
 BINS = (12, 11, 15)
 """Of azimuth, elevation and radius."""
@@ -46,7 +46,7 @@ BINS = (12, 11, 15)
 _VOTE_STEPS = 1 << 40  # a vote is a whole number of 1 / this, so that sums are exact
 
 
-@entry
+@full_precision
 def shape_context(
     cloud: Clouds,
     near: Neighborhoods,
@@ -89,7 +89,7 @@ def shape_context(
     """
     _expect_options(bins, inner, density)
     expect_binning(binning, bandwidth, edges=None, neighbor_weights=None)
-    expect_precise(cloud.points, "points")
+    expect_floating(cloud.points, "points")
     if frames is None:
         normals = expect_oriented(cloud, near)
         frames = tangent_frames(cloud.points, normals, near)

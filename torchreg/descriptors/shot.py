@@ -35,8 +35,7 @@ from torchreg.descriptors.shot_votes import (
     votes,
 )
 from torchreg.descriptors.soft.arguments import expect_finite
-from torchreg.entry import entry
-from torchreg.errors import expect_precise, expect_shape
+from torchreg.errors import expect_floating, expect_shape
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.geometry.numerics.derivatives import derivative_wanted
 from torchreg.geometry.numerics.gather import gather
@@ -44,6 +43,7 @@ from torchreg.geometry.numerics.sums import NEIGHBOR_LANES, lane_sums
 from torchreg.native import KERNEL_TYPES, call, native, rows
 from torchreg.types import Clouds, Features, Neighborhoods
 from torchreg.types.neighborhoods import expect_rows
+from torchreg.types.precision import full_precision
 
 SHAPE_BINS = 10  # and one more: both ends have a bin of their own
 COLOR_BINS = 30
@@ -51,7 +51,7 @@ SHOT_SIZE = VOLUMES * (SHAPE_BINS + 1)
 CSHOT_SIZE = SHOT_SIZE + VOLUMES * (COLOR_BINS + 1)
 
 
-@entry
+@full_precision
 def shot(cloud: Clouds, near: Neighborhoods, *, frames: Tensor | None = None) -> Features:
     """SHOT of every point.
 
@@ -89,7 +89,7 @@ def shot(cloud: Clouds, near: Neighborhoods, *, frames: Tensor | None = None) ->
     return Features(values, cloud.offsets, (("shot", SHOT_SIZE),), valid=largest_entries(values) != 0)
 
 
-@entry
+@full_precision
 def cshot(
     cloud: Clouds, near: Neighborhoods, *, frames: Tensor | None = None, values: Tensor | None = None
 ) -> Features:
@@ -174,7 +174,7 @@ def _described(cloud: Clouds, near: Neighborhoods, frames: Tensor | None, colors
         raise ValueError("cloud: expected normals (estimate_normals gives them), got none")
     expect_rows(near, cloud)
     points, normals, radius = cloud.points, cloud.normals, support_radius(near, cloud.points)
-    expect_precise(points, "points")
+    expect_floating(points, "points")
     normals = normals.to(points.dtype)
     expect_finite(points, "points")
     expect_finite(normals, "normals")

@@ -32,15 +32,15 @@ from torchreg.descriptors.soft.grids import grid_votes
 from torchreg.descriptors.soft.pairs import distinct
 from torchreg.descriptors.soft.rows import Piece, by_rows
 from torchreg.descriptors.soft.votes import Shares
-from torchreg.entry import entry
 from torchreg.errors import at_least, expect, one_of
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.precision import full_precision
 
 STRUCTURES = ("rectangular", "radial")
 CONTENTS = ("counts", "angles")
 
 
-@entry
+@full_precision
 def spin_images(
     cloud: Clouds,
     near: Neighborhoods,

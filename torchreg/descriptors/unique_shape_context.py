@@ -15,14 +15,14 @@ from torchreg.arguments import checked_record
 from torchreg.descriptors.descriptor import Descriptor
 from torchreg.descriptors.local_frames import local_frames
 from torchreg.descriptors.shape_context import shape_context
-from torchreg.entry import entry
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.precision import full_precision
 
 BINS = (14, 14, 10)
 """Of azimuth, elevation and radius."""
 
 
-@entry
+@full_precision
 def unique_shape_context(
     cloud: Clouds,
     near: Neighborhoods,

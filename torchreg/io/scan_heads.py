@@ -32,6 +32,7 @@ def scan_heads(scans: Sequence[Scan]) -> list[ScanHead]:
     """
     heads = []
     for number, scan in enumerate(scans):
+        points: int | None
         if isinstance(scan, RawCloud):
             head, points, colored = scan, len(scan.points), scan.colors is not None
         else:

@@ -11,8 +11,8 @@ from torchreg.descriptors.pair_features import ANGLE_BINS
 from torchreg.descriptors.pcfh import CHANNELS, pcfh
 from torchreg.descriptors.soft.arguments import expect_binning
 from torchreg.errors import at_least, expect, one_of
-from torchreg.nn.precision import full_precision, widened
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.precision import full_precision, widened
 
 _ANGLES = 3
 _LEAST_WIDTH = 0.01  # of an equal bin's: no bin vanishes, and edges ascend strictly in float32 too

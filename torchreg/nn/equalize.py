@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from torchreg.arguments import checked
 from torchreg.descriptors.color import colors_of, hsv, soft_equalize
 from torchreg.errors import expect, fraction
-from torchreg.nn.precision import full_precision
 from torchreg.types import Clouds
 from torchreg.types.packing import offsets_of, spans
+from torchreg.types.precision import full_precision
 
 
 class PairValues(NamedTuple):

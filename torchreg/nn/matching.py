@@ -18,9 +18,9 @@ from torchreg.geometry.se3 import apply_rotation, rigid
 from torchreg.geometry.soft_kabsch import robust_kabsch, soft_kabsch
 from torchreg.matching import soft_match
 from torchreg.matching.soft import METHODS
-from torchreg.nn.precision import full_precision, widened
 from torchreg.types import Clouds, Features, SoftCorrespondences
 from torchreg.types.packing import spans
+from torchreg.types.precision import full_precision, widened
 
 _HISTOGRAMS = {record.name for record in DESCRIPTORS.values() if record.is_histogram}
 

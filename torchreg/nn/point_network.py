@@ -24,10 +24,10 @@ from torchreg.errors import at_least, expect, expect_in_words
 from torchreg.geometry.numerics.chunks import row_chunks
 from torchreg.neighborhoods import neighbors
 from torchreg.nn.cues import PAIR_CUES, POINT_CUES, pair_cues, point_cues
-from torchreg.nn.precision import full_precision
 from torchreg.preprocess import estimate_normals
 from torchreg.registration.spacing import spacing
 from torchreg.types import Clouds, Features, Neighborhoods
+from torchreg.types.precision import full_precision
 
 BLOCK = "network"
 SUPPORT, MAX_NEIGHBORS = 5.0, 100  # spacings and neighbors, as FPFH has them by default

@@ -16,13 +16,13 @@ from torchreg.errors import expect, expect_shape
 from torchreg.nn.descriptors import FPFH, PCFH
 from torchreg.nn.equalize import Equalize
 from torchreg.nn.matching import Fuse, SoftMatch, WeightedKabsch
-from torchreg.nn.precision import full_precision, widened
 from torchreg.registration.describe import downsample, oriented, support_of
 from torchreg.registration.described import Description
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.plan import options_of_pairs
 from torchreg.registration.spacing import derive_options
 from torchreg.types import Clouds, Features, SoftCorrespondences
+from torchreg.types.precision import full_precision, widened
 
 
 class SoftRegistration(NamedTuple):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import torch
 
+from torchreg.descriptors.descriptor import Descriptor
 from torchreg.registration.options import RegistrationOptions
 from torchreg.registration.units import Lengths, extents_note, feet_note, rough_spacing, units_failure
 from torchreg.types import Clouds, Failure
@@ -146,6 +147,19 @@ def keypoints_notes(counts: tuple[int, int], points: tuple[int, int], options: R
     each = zip(counts, points, ("source", "target"), strict=True)
     shares = " and ".join(f"{count:,} of {total:,} points of the {side}" for count, total, side in each)
     return (f"keypoints ({options.keypoints.name}) alone are matched: {shares}",)
+
+
+def undescribed_failure(failure: Failure | None, undescribed: Sequence[str]) -> Failure | None:
+    """The failure of a pair, which names the descriptors that leave too little to be matched (``undescribed_note``)."""
+    if failure is None or failure.kind != "too few matches" or not undescribed:
+        return failure
+    return replace(failure, text="; ".join((failure.text, *undescribed)))
+
+
+def undescribed_note(record: Descriptor, name: str, spacing: float) -> str:
+    """A remark on a descriptor whose rows are all invalid on one side, with what decides that most often: its scale."""
+    lengths = f"its radius is {record.radius:.3g} m, the spacing of the points {spacing:.3g} m"
+    return f"{record.name} describes no point of the {name}: {lengths}"
 
 
 def warn_of_many_points(points: int, options: RegistrationOptions) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchreg.entry import entry
@@ -29,6 +30,8 @@ from torchreg.registration.inspect import (
     keypoints_notes,
     pair_notes,
     refusal,
+    undescribed_failure,
+    undescribed_note,
 )
 from torchreg.registration.matchings import Matched, Matching
 from torchreg.registration.options import RegistrationOptions
@@ -247,12 +250,15 @@ def conclude(
     proposals = [proposals_of(proposed, b) + (again[b].proposals if b in again else ()) for b in range(len(source))]
     stages = _stage_counts(source, target, proposals)
     keypoints = list(zip(_keypoint_counts(source), _keypoint_counts(target), strict=True))
-    late = map(keypoints_failure, result.failure, keypoints, options)
+    undescribed = [
+        sum(both, ()) for both in zip(_undescribed(source, "source"), _undescribed(target, "target"), strict=True)
+    ]
+    late = map(undescribed_failure, map(keypoints_failure, result.failure, keypoints, options), undescribed)
     result = replace(result, failure=tuple(early or other for early, other in zip(refused, late, strict=True)))
     result, remarks = refined(source, target, result, options)
     few = [
-        few_points_notes(counts.points, option) + keypoints_notes(selected, counts.points, option)
-        for counts, selected, option in zip(stages, keypoints, options, strict=True)
+        few_points_notes(counts.points, option) + keypoints_notes(selected, counts.points, option) + blind
+        for counts, selected, option, blind in zip(stages, keypoints, options, undescribed, strict=True)
     ]
     result = replace(
         result,
@@ -341,6 +347,22 @@ def _described_counts(side: DescribedClouds) -> list[int]:
     if not matched_by:
         return side.cloud.lengths
     return [int(valid.sum()) for valid in matched_by[0].valid.split(side.cloud.lengths)]
+
+
+def _undescribed(side: DescribedClouds, name: str) -> list[tuple[str, ...]]:
+    """Of every cloud, remarks on the descriptors that describe none of its points; none where others are matched."""
+    if side.outside is not None or not side.features:
+        return [()] * len(side)
+    described = torch.stack([block.valid for block in side.features], dim=1).split(side.cloud.lengths)
+    clouds = zip(described, side.descriptions, side.spacing, side.facts, strict=True)
+    return [
+        tuple(
+            undescribed_note(record, name, max(spacing, facts.spacing))
+            for record, found in zip(description.descriptors, valid.any(dim=0).tolist(), strict=True)
+            if not found and len(valid) > 0
+        )
+        for valid, description, spacing, facts in clouds
+    ]
 
 
 def _keypoint_counts(side: DescribedClouds) -> list[int]:

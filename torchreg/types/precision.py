@@ -1,7 +1,7 @@
-"""Full precision under autocast, since geometry needs the digits that a half-precision network drops.
+"""Full precision for halves, since geometry needs the digits that a half-precision network drops.
 
-A coordinate of 10 m in bfloat16 is off by 3 cm, and a histogram counts votes to 1 in 256. So modules run outside of
-autocast, as all public functions do (``torchreg.entry``), on half-precision inputs converted to float32.
+A coordinate of 10 m in bfloat16 is off by 3 cm, and a histogram counts votes to 1 in 256. So descriptors and modules
+run outside of autocast, as all public functions do (``torchreg.entry``), on half-precision inputs converted to float32.
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ import torch
 from torch import Tensor
 
 from torchreg.entry import entry
-from torchreg.types import Clouds, Features
+from torchreg.types.clouds import Clouds
+from torchreg.types.features import Features
 
-_Forward = TypeVar("_Forward", bound=Callable[..., Any])
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _HALF = (torch.float16, torch.bfloat16)
 
 
-def full_precision(forward: _Forward) -> _Forward:
-    """Run a module's forward as a public function, with clouds, features and tensors in float32 or float64."""
+def full_precision(function: _Function) -> _Function:
+    """Make a function, or a module's forward, public, with clouds, features and tensors in float32 or float64."""
 
-    @functools.wraps(forward)
-    def call(module: torch.nn.Module, *args: object, **keywords: object) -> Any:  # noqa: ANN401
+    @functools.wraps(function)
+    def call(*args: object, **keywords: object) -> Any:  # noqa: ANN401
         wide = [_widened(value) for value in args]
-        return forward(module, *wide, **{name: _widened(value) for name, value in keywords.items()})
+        return function(*wide, **{name: _widened(value) for name, value in keywords.items()})
 
     return entry(call)  # type: ignore[return-value]
 
