@@ -31,6 +31,7 @@ def scan_heads(scans: Sequence[Scan]) -> list[ScanHead]:
         CloudFileError: a first chunk that cannot be read.
     """
     heads = []
+    points: int | None
     for number, scan in enumerate(scans):
         points: int | None
         if isinstance(scan, RawCloud):
