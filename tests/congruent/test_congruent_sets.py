@@ -137,7 +137,7 @@ def test_rarest_bases_have_no_more_pairs_than_those_left_out():
         sum(len(found_pairs(table, one, other, each, k, within).base) for k in range(2)) for each in (chosen, bases)
     ]
     assert chosen.corners.shape[1] == 15
-    assert pairs(chosen) / 15 < pairs(bases) / bases.corners.shape[1]
+    assert pairs[0] / 15 < pairs[1] / bases.corners.shape[1]
 
 
 def test_sets_are_those_of_a_loop_over_all_pairs_of_pairs():
