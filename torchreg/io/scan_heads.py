@@ -33,7 +33,6 @@ def scan_heads(scans: Sequence[Scan]) -> list[ScanHead]:
     heads = []
     points: int | None
     for number, scan in enumerate(scans):
-        points: int | None
         if isinstance(scan, RawCloud):
             head, points, colored = scan, len(scan.points), scan.colors is not None
         else:
