@@ -184,8 +184,12 @@ def _expect_within(radius: float | Tensor, near: Neighborhoods) -> None:
     if near.radius is None:
         return
     # compared where the neighborhoods lie: the host reads one number
+    device = near.index.device
     asked, searched = (
-        torch.as_tensor(each, dtype=torch.float64, device=near.index.device) for each in (radius, near.radius)
+        each.to(device, torch.float64)
+        if isinstance(each, Tensor)
+        else torch.tensor(each, dtype=torch.float64, device=device)
+        for each in (radius, near.radius)
     )
     wider = bool((asked > searched).any())
     expect(not wider, "non_max_radius", f"at most the radius of near ({describe(near.radius)})", radius)
