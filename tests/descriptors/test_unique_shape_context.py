@@ -19,7 +19,7 @@ def described(cloud, radius=0.6, **options):
 def test_a_row_has_14_by_14_by_10_cells_and_needs_no_normals():
     cloud = sphere_cloud(150)
     features = described(cloud, 0.3)
-    assert features.blocks == (("unique_shape_context", 1960),)
+    assert features.blocks == (("usc", 1960),)
     assert same_bits(described(tr.Clouds(points=cloud.points), 0.3), features)
     assert 0 < int(features.valid.sum()) < 150
     assert torch.equal(features.valid, tr.local_frames(cloud, tr.neighbors(cloud, 0.3, 300)).any(dim=2).any(dim=1))

@@ -92,7 +92,7 @@ def test_refused():
         from_open3d(o3d.t.geometry.PointCloud())
     with pytest.raises(ValueError, match=r"^pcd: expected an Open3D point cloud, got "):
         from_open3d(np.zeros((3, 3)))
-    with pytest.raises(ValueError, match=r"^pcd: expected finite points, got '1 of 2 with NaN"):
+    with pytest.raises(ValueError, match=r"^pcd: expected finite points, got 1 of 2 with NaN"):
         from_open3d(legacy(np.array([[0, 0, 0], [0, np.nan, 0]])))
     with pytest.raises(ValueError, match=r"^pcd: expected colors from 0 to 1, or of 8 or 16 bits, got "):
         from_open3d(legacy(np.eye(3), colors=np.eye(3) * 2))

@@ -29,6 +29,10 @@ class Super4pcsOptions:
 
     Raises:
         ValueError: a value out of its range.
+
+    Example:
+        >>> Super4pcsOptions(overlap=0.6).bases
+        128
     """
 
     overlap: float = 0.4

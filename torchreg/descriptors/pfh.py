@@ -88,7 +88,14 @@ def pfh(cloud: Clouds, near: Neighborhoods, *, binning: str = "hard", bandwidth:
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class Pfh(Descriptor):
-    """``torchreg.pfh``: 125 numbers of local geometry, from all pairs of neighbors."""
+    """``torchreg.pfh``: 125 numbers of local geometry, from all pairs of neighbors.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.Pfh(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
+    """
 
     name: ClassVar[str] = "pfh"
     is_histogram: ClassVar[bool] = True

@@ -70,6 +70,14 @@ def pfhrgb(cloud: Clouds, near: Neighborhoods, *, binning: str = "hard", bandwid
     Raises:
         ValueError: no normals or colors, shapes that do not fit, numbers that are not finite, or a bandwidth out of its
             range or with hard binning.
+
+    Example:
+        >>> import torchreg as tr
+        >>> cloud = tr.datasets.mall(seed=1, angular_step=3.0).source
+        >>> near = tr.neighbors(cloud, 2.0, 60)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.pfhrgb(cloud, near).values.shape[1]
+        250
     """
     expect_binning(binning, bandwidth, edges=None, neighbor_weights=None)
     normals = expect_oriented(cloud, near)
@@ -84,7 +92,14 @@ def pfhrgb(cloud: Clouds, near: Neighborhoods, *, binning: str = "hard", bandwid
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class PfhRgb(Descriptor):
-    """``torchreg.pfhrgb``: 250 numbers of geometry and color, from all pairs of neighbors."""
+    """``torchreg.pfhrgb``: 250 numbers of geometry and color, from all pairs of neighbors.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.PfhRgb(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
+    """
 
     name: ClassVar[str] = "pfhrgb"
     needs_colors: ClassVar[bool] = True

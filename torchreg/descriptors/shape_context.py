@@ -86,6 +86,14 @@ def shape_context(
     Raises:
         ValueError: neither normals nor frames, neighborhoods of unknown radius, shapes that do not fit, points that are
             not float32 or float64, numbers that are not finite in their dtype, or an option out of its range.
+
+    Example:
+        >>> import torchreg as tr
+        >>> cloud = tr.datasets.mall(seed=1, angular_step=3.0).source
+        >>> near = tr.neighbors(cloud, 2.0, 60)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.shape_context(cloud, near).values.shape[1]
+        1980
     """
     _expect_options(bins, inner, density)
     expect_binning(binning, bandwidth, edges=None, neighbor_weights=None)
@@ -120,6 +128,12 @@ class ShapeContext(Descriptor):
         bins: of azimuth, elevation and radius.
         inner: of the radius, where the cells of radius begin.
         density: of the radius, how far around a neighbor points are counted, by which it counts less.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.ShapeContext(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
     """
 
     name: ClassVar[str] = "shape_context"

@@ -108,6 +108,14 @@ def cshot(
 
     Raises:
         ValueError: no colors or normals, or what ``shot`` refuses.
+
+    Example:
+        >>> import torchreg as tr
+        >>> cloud = tr.datasets.mall(seed=1, angular_step=3.0).source
+        >>> near = tr.neighbors(cloud, 2.0, 60)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.cshot(cloud, near).values.shape[1]
+        1344
     """
     if values is None:
         values = lab(colors_of(cloud))
@@ -121,7 +129,14 @@ def cshot(
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class Shot(Descriptor):
-    """``torchreg.shot``: 352 numbers of normals in a local reference frame."""
+    """``torchreg.shot``: 352 numbers of normals in a local reference frame.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.Shot(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
+    """
 
     name: ClassVar[str] = "shot"
     is_batched: ClassVar[bool] = True
@@ -143,7 +158,14 @@ class Shot(Descriptor):
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class Cshot(Descriptor):
-    """``torchreg.cshot``: 352 numbers of normals and 992 of colors in a local reference frame."""
+    """``torchreg.cshot``: 352 numbers of normals and 992 of colors in a local reference frame.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.Cshot(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
+    """
 
     name: ClassVar[str] = "cshot"
     needs_colors: ClassVar[bool] = True

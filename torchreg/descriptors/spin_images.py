@@ -70,6 +70,14 @@ def spin_images(
     Raises:
         ValueError: no normals, neighborhoods of unknown radius, shapes that do not fit, numbers that are not finite, or
             an option out of its range.
+
+    Example:
+        >>> import torchreg as tr
+        >>> cloud = tr.datasets.mall(seed=1, angular_step=3.0).source
+        >>> near = tr.neighbors(cloud, 2.0, 60)
+        >>> cloud = tr.estimate_normals(cloud, near)
+        >>> tr.spin_images(cloud, near).values.shape[1]
+        153
     """
     _expect_options(width, support_cosine, structure, content)
     normals = expect_oriented(cloud, near)
@@ -96,6 +104,12 @@ class SpinImages(Descriptor):
         support_cosine: neighbors count whose normals' cosine with the point's own is not smaller; 0: all.
         structure: ``"rectangular"`` or ``"radial"``.
         content: ``"counts"`` or ``"angles"``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.SpinImages(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
     """
 
     name: ClassVar[str] = "spin_images"

@@ -44,7 +44,7 @@ def unique_shape_context(
         bins, inner, density, binning, bandwidth: as in ``shape_context``.
 
     Returns:
-        Features of one block ("unique_shape_context", 14 x 14 x 10 = 1960), azimuth moving slowest, radius fastest; the
+        Features of one block ("usc", 14 x 14 x 10 = 1960), azimuth moving slowest, radius fastest; the
         unit is 1 / m. As PCL's ``UniqueShapeContext`` with a minimal radius of ``inner`` and a density radius of
         ``density`` times the radius, within rounding but for neighbors that it moves over the edge of a cell. A point
         without a frame gets a zero row and is not valid, where PCL has NaN. All else as ``shape_context``: no gradients
@@ -64,15 +64,22 @@ def unique_shape_context(
     features = shape_context(
         cloud, near, frames=frames, bins=bins, inner=inner, density=density, binning=binning, bandwidth=bandwidth
     )
-    return replace(features, blocks=(("unique_shape_context", features.values.shape[1]),))
+    return replace(features, blocks=(("usc", features.values.shape[1]),))
 
 
 @checked_record
 @dataclass(frozen=True, kw_only=True)
 class UniqueShapeContext(Descriptor):
-    """``torchreg.unique_shape_context``: 1960 numbers of where points lie in a local reference frame."""
+    """``torchreg.unique_shape_context``: 1960 numbers of where points lie in a local reference frame.
 
-    name: ClassVar[str] = "unique_shape_context"
+    Example:
+        >>> import torchreg as tr
+        >>> options = tr.RegistrationOptions(descriptors=(tr.UniqueShapeContext(radius=0.3),), weights=(1.0,))
+        >>> options.scaled(2.0).descriptors[0].radius
+        0.6
+    """
+
+    name: ClassVar[str] = "usc"
     is_batched: ClassVar[bool] = True
 
     @property

@@ -57,6 +57,13 @@ class FarthestKeypoints(Keypoints):
 
     Raises:
         ValueError: ``count`` below 1.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from dataclasses import replace
+        >>> options = replace(tr.options_for(spacing=0.05), keypoints=tr.FarthestKeypoints(count=500))
+        >>> options.keypoints.name
+        'farthest'
     """
 
     name: ClassVar[str] = "farthest"

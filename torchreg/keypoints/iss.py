@@ -110,6 +110,13 @@ class IssKeypoints(Keypoints):
 
     Raises:
         ValueError: a length, ratio or number out of its range.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from dataclasses import replace
+        >>> options = replace(tr.options_for(spacing=0.05), keypoints=tr.IssKeypoints(radius=0.2, non_max_radius=0.1))
+        >>> options.keypoints.name
+        'iss'
     """
 
     name: ClassVar[str] = "iss"

@@ -30,6 +30,13 @@ class KeypointRows(NamedTuple):
     Attributes:
         rows: (K,) int64, global rows of the packed batch, ascending, each once.
         offsets: (B+1,) int64, on the CPU: cloud ``b`` has the rows ``rows[offsets[b]:offsets[b+1]]``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> cloud = tr.Clouds(torch.rand(100, 3))
+        >>> selected = tr.uniform_keypoints(cloud, 0.5)
+        >>> len(cloud.rows(*selected).points) == len(selected.rows)
+        True
     """
 
     rows: Tensor

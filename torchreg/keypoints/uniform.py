@@ -56,6 +56,13 @@ class UniformKeypoints(Keypoints):
 
     Raises:
         ValueError: ``voxel_size`` not above 0.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from dataclasses import replace
+        >>> options = replace(tr.options_for(spacing=0.05), keypoints=tr.UniformKeypoints(voxel_size=0.1))
+        >>> options.keypoints.name
+        'uniform'
     """
 
     name: ClassVar[str] = "uniform"

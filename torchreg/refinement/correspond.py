@@ -24,13 +24,13 @@ from torchreg.neighborhoods.kd_tree import fits_tree
 from torchreg.neighborhoods.open3d_search import Tree
 from torchreg.neighborhoods.point_index import nearest_of_all
 from torchreg.refinement.blocks import BLOCK, Blocks
-from torchreg.refinement.found import Found
+from torchreg.refinement.found import FoundRows
 from torchreg.refinement.tree_search import TreeSearch
 
 FEW = 4
 """Nearest points kept per search. Measured: 4 take the tree a third longer than 2, but few searches are repeated."""
 
-Search = Callable[[Tensor], Found]
+Search = Callable[[Tensor], FoundRows]
 """From queries (Q, S) to their nearest, (Q, min(FEW, N))."""
 
 _CHUNK_ROWS = 1 << 14  # rows decided at once: what they need stays in the cache
@@ -163,9 +163,9 @@ class Correspondence:
                 full[begin:end] = width == FEW
             begin = end
         for part in row_chunks(len(rows), 1, _CHUNK_ROWS):
-            self._store(rows[part], queries[part].t().contiguous(), Found(few[part], beyond[part]), full[part])
+            self._store(rows[part], queries[part].t().contiguous(), FoundRows(few[part], beyond[part]), full[part])
 
-    def _store(self, rows: Tensor, points: Tensor, found: Found, full: Tensor) -> None:
+    def _store(self, rows: Tensor, points: Tensor, found: FoundRows, full: Tensor) -> None:
         """Store what a search found for the rows (Q,) at points (S, Q); the last one and the search bound all others.
 
         ``full`` (Q,) is false where the target has no others.
@@ -237,10 +237,10 @@ def few_nearest(points: Tensor) -> Search:
         return TreeSearch(points, FEW)
     if points.device.type == "cpu":
         tree = Tree(points)
-        return lambda queries: Found.of_all(tree.nearest(queries, FEW))
+        return lambda queries: FoundRows.of_all(tree.nearest(queries, FEW))
     return all_pairs(points)
 
 
 def all_pairs(points: Tensor, max_bytes: int = 256 * 2**20) -> Search:
     """The search that compares every query with every point, in chunks of ``max_bytes``."""
-    return lambda queries: Found.of_all(nearest_of_all(queries, points, FEW, max_bytes))
+    return lambda queries: FoundRows.of_all(nearest_of_all(queries, points, FEW, max_bytes))

@@ -21,7 +21,7 @@ from torchreg.geometry.numerics.gather import gather_columns
 from torchreg.neighborhoods.distances import sort_rows
 from torchreg.neighborhoods.kd_tree import MOST, KdTree, fits_tree
 from torchreg.neighborhoods.open3d_search import Tree
-from torchreg.refinement.found import Found
+from torchreg.refinement.found import FoundRows
 from torchreg.types.packing import offsets_of
 
 _FIRST = 16  # nearest in space that are looked at first
@@ -58,10 +58,10 @@ class MetricSearch:
         self._count = min(count, len(points))
         self._in_space = _nearest_in_space(points[:, :3].contiguous())
 
-    def __call__(self, queries: Tensor) -> Found:
+    def __call__(self, queries: Tensor) -> FoundRows:
         """The nearest, ascending by (distance, row)."""
         if self._in_space is None:
-            return Found.of_all(self._among_all(queries))
+            return FoundRows.of_all(self._among_all(queries))
         out = torch.empty(len(queries), self._count, dtype=torch.int64)
         last, beyond = queries.new_empty(len(queries)), queries.new_full((len(queries),), math.inf)  # squared
         rows, width = torch.arange(len(queries)), _FIRST
@@ -72,7 +72,7 @@ class MetricSearch:
             out[rows], last[rows] = index, best[:, -1]
             if width == self._total:
                 beyond[rows] = math.inf
-                return Found(out, beyond.sqrt())
+                return FoundRows(out, beyond.sqrt())
             farthest = gather_columns(self._axes[:3], near[:, -1]) - asked[:, :3].t()
             bound = _sum_of_squares(farthest) * (1 - _ROUNDING)
             beyond[rows] = bound
@@ -80,7 +80,7 @@ class MetricSearch:
             width *= 2
         for part in rows.split(max(1, _MAX_BYTES // (8 * len(self._axes) * self._total // _BLOCK + 1))):
             self._in_boxes(queries[part], last[part].clamp(max=self._limit), part, out, beyond)
-        return Found(out, beyond.sqrt())
+        return FoundRows(out, beyond.sqrt())
 
     def _in_boxes(self, queries: Tensor, reach: Tensor, rows: Tensor, out: Tensor, beyond: Tensor) -> None:
         """Compare queries (R, S) with the points of all boxes within ``reach`` (R,), squared; write their rows (R,)."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchreg.neighborhoods.kd_tree import KdTree
-from torchreg.refinement.found import Found
+from torchreg.refinement.found import FoundRows
 
 
 class TreeSearch:
@@ -18,9 +18,9 @@ class TreeSearch:
         self.tree = KdTree(points)
         self._count = min(count, len(points))
 
-    def __call__(self, queries: Tensor) -> Found:
+    def __call__(self, queries: Tensor) -> FoundRows:
         """The nearest, min(count, N) of them, ascending by (distance, row)."""
-        return Found.of_all(self.tree.nearest(queries, self._count)[0])
+        return FoundRows.of_all(self.tree.nearest(queries, self._count)[0])
 
     @property
     def address(self) -> tuple[int, int, int, int]:

@@ -254,7 +254,6 @@ def support_of(cloud: Clouds, near: Neighborhoods, records: Sequence[Descriptor]
     return _support(cloud, near, [record.radius for record in records], records[0].max_neighbors)
 
 
-@stage("keypoints")
 def select(cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints | None]) -> Tensor | None:
     """The points (P,) bool that are matched, by the rule of every cloud; ``None`` where there are no rules.
 
@@ -266,6 +265,14 @@ def select(cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints 
     given = [rule for rule in rules if rule is not None]
     if not given:
         return None
+    return _selected(cloud, near, rules, given)
+
+
+@stage("keypoints")
+def _selected(
+    cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints | None], given: Sequence[Keypoints]
+) -> Tensor:
+    """The points (P,) bool that rules select, ``given`` being those that are not ``None``."""
     without = [number for number, rule in enumerate(rules) if rule is None]
     expect_in_words(not without, "keypoints", "a rule for every cloud or for none", f"none for the clouds {without}")
     support, alike = None, all(rule == given[0] for rule in given)

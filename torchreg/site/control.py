@@ -46,6 +46,10 @@ class ControlPoint(NamedTuple):
         scan: the number of the scan.
         place: x, y, z in meters, in the frame of the scan's file.
         world: X, Y, Z in meters, in the frame of the world.
+
+    Example:
+        >>> ControlPoint("T1", 0, (1.0, 2.0, 0.5), (431001.0, 5310002.0, 512.5)).scan
+        0
     """
 
     name: str

@@ -50,6 +50,10 @@ class SiteFrame:
 
     Raises:
         ValueError: control points beside known poses, or a deviation that is not above 0.
+
+    Example:
+        >>> SiteFrame(fix=0, level=True).level
+        True
     """
 
     fix: int | None = None

@@ -39,7 +39,7 @@ MostPoints = Annotated[
         "--points",
         metavar="COUNT",
         min=100,
-        help="The most points of a cloud: larger ones are averaged over wider voxels. Features of a thousand numbers "
+        help="The most points of a cloud, all by default: larger ones are averaged over wider voxels. Features of a thousand numbers "
         "and more take long to match.",
     ),
 ]
@@ -50,7 +50,7 @@ FamilyEffort = Annotated[
     typer.Option(
         "--effort",
         metavar="NAME",
-        help="balanced, as register by default; or plain: poses by matches alone, in a fraction of the time.",
+        help="Balanced, as register by default; or plain: poses by matches alone, in a fraction of the time.",
     ),
 ]
 

@@ -58,6 +58,12 @@ def write_site_report(
 
     Raises:
         ValueError: another suffix, no such folder, another number of scans or names, or a count below 1.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import write_site_report
+        >>> scans = tr.synthetic.building(seed=3, scans=2, floors=1).scans
+        >>> write_site_report("site.html", tr.register_site(scans), scans, max_points=10_000)
     """
     suffix = Path(path).suffix.lower()
     expect(suffix in REPORT_SUFFIXES, "path", "a name that ends in " + " or ".join(REPORT_SUFFIXES), os.fspath(path))
@@ -67,7 +73,15 @@ def write_site_report(
 def site_report_html(
     site: SiteResult, scans: Sequence[Clouds], *, names: Sequence[str] | None = None, max_points: int = 1_000_000
 ) -> str:
-    """The page; arguments and errors as of ``write_site_report``."""
+    """The page; arguments and errors as of ``write_site_report``.
+
+    Example:
+        >>> import torchreg as tr
+        >>> from torchreg.report import site_report_html
+        >>> scans = tr.synthetic.building(seed=3, scans=2, floors=1).scans
+        >>> site_report_html(tr.register_site(scans), scans, max_points=10_000)[:15]
+        '<!DOCTYPE html>'
+    """
     at_least(max_points, "max_points", 1)
     labels = [f"scan {number}" for number in range(len(site))] if names is None else list(names)
     for name, given in (("scans", scans), ("names", labels)):
