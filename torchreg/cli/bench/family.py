@@ -39,8 +39,8 @@ MostPoints = Annotated[
         "--points",
         metavar="COUNT",
         min=100,
-        help="The most points of a cloud, all by default: larger ones are averaged over wider voxels. Features of a thousand numbers "
-        "and more take long to match.",
+        help="The most points of a cloud, all by default: larger ones are averaged over wider voxels. Features of a "
+        "thousand numbers and more take long to match.",
     ),
 ]
 

@@ -62,7 +62,7 @@ def write_site_report(
     Example:
         >>> import torchreg as tr
         >>> from torchreg.report import write_site_report
-        >>> scans = tr.synthetic.building(seed=3, scans=2, floors=1).scans
+        >>> scans = tr.synthetic.building(seed=3, scans=5, floors=1, angular_step=3.0).scans
         >>> write_site_report("site.html", tr.register_site(scans), scans, max_points=10_000)
     """
     suffix = Path(path).suffix.lower()
@@ -78,7 +78,7 @@ def site_report_html(
     Example:
         >>> import torchreg as tr
         >>> from torchreg.report import site_report_html
-        >>> scans = tr.synthetic.building(seed=3, scans=2, floors=1).scans
+        >>> scans = tr.synthetic.building(seed=3, scans=5, floors=1, angular_step=3.0).scans
         >>> site_report_html(tr.register_site(scans), scans, max_points=10_000)[:15]
         '<!DOCTYPE html>'
     """
