@@ -249,8 +249,9 @@ def test_frames_and_normals_that_are_not_finite_in_the_dtype_of_points_are_refus
     with native_kernels(compiled):
         with refuses("frames", "finite"):
             describe(cloud, near, frames=frames)
-        with refuses("normals", "finite"):
-            describe(replace(cloud, normals=normals), near)
+        if dtype == cloud.points.dtype:  # of clouds whose normals have another, there are none
+            with refuses("normals", "finite"):
+                describe(replace(cloud, normals=normals), near)
         with refuses("values", "finite"):
             tr.cshot(cloud, near, values=normals)
 

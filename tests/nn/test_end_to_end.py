@@ -187,7 +187,7 @@ def test_what_a_module_of_ones_own_returns_is_checked():
     wrong = Wrong()
     module = tr.nn.Register(OPTIONS, descriptors=[wrong])
     for answer, parts in (
-        (lambda cloud: cloud.points[1:], ["(700, D)", "(699, 3)"]),
+        (lambda cloud: cloud.points[1:], ["D)", "3)"]),
         (lambda cloud: cloud.points.long(), ["floating-point", "int64"]),
         (lambda cloud: None, ["a tensor", "NoneType"]),
     ):
@@ -199,14 +199,15 @@ def test_what_a_module_of_ones_own_returns_is_checked():
 def test_features_beyond_the_dustbin_show_in_the_confidence_and_have_no_gradient():
     """What the documentation tells of features on a scale of their own."""
     cloud = tr.Clouds(ROOM.source.points)
-    percent = (100 * torch.rand(700, 33)).requires_grad_()
-    rows = tr.Features(percent, cloud.offsets, (("mine", 33),), torch.ones(700, dtype=torch.bool))
-    other = replace(rows, values=100 * torch.rand(700, 33))
+    count = len(cloud.points)
+    percent = (100 * torch.rand(count, 33)).requires_grad_()
+    rows = tr.Features(percent, cloud.offsets, (("mine", 33),), torch.ones(count, dtype=torch.bool))
+    other = replace(rows, values=100 * torch.rand(count, 33))
     matches = tr.nn.SoftMatch()(rows, other)
     T = tr.nn.WeightedKabsch()(cloud, cloud, matches)
     T.sum().backward()
     assert torch.isfinite(T).all()
-    assert float(matches.confidence[0].sum()) == 0
+    assert float(matches.confidence[0].detach().sum()) == 0
     assert not percent.grad.any()
 
 
@@ -214,7 +215,8 @@ def test_a_pair_with_an_empty_cloud_has_a_finite_pose_and_no_confidence():
     empty = tr.Clouds(torch.zeros(0, 3))
     rows = tr.Features(torch.zeros(0, 4), empty.offsets, (("mine", 4),), torch.zeros(0, dtype=torch.bool))
     cloud = tr.Clouds(ROOM.target.points)
-    other = tr.Features(torch.rand(700, 4), cloud.offsets, (("mine", 4),), torch.ones(700, dtype=torch.bool))
+    count = len(cloud.points)
+    other = tr.Features(torch.rand(count, 4), cloud.offsets, (("mine", 4),), torch.ones(count, dtype=torch.bool))
     matches = tr.soft_match(rows, other)
     assert torch.isfinite(tr.nn.WeightedKabsch()(empty, cloud, matches)).all()
-    assert float(matches.confidence[0].sum()) == 0
+    assert float(matches.confidence[0].detach().sum()) == 0
