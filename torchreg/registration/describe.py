@@ -265,16 +265,14 @@ def select(cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints 
     given = [rule for rule in rules if rule is not None]
     if not given:
         return None
-    return _selected(cloud, near, rules, given)
+    without = [number for number, rule in enumerate(rules) if rule is None]
+    expect_in_words(not without, "keypoints", "a rule for every cloud or for none", f"none for the clouds {without}")
+    return _selected(cloud, near, given)
 
 
 @stage("keypoints")
-def _selected(
-    cloud: Clouds, near: Neighborhoods | None, rules: Sequence[Keypoints | None], given: Sequence[Keypoints]
-) -> Tensor:
-    """The points (P,) bool that rules select, ``given`` being those that are not ``None``."""
-    without = [number for number, rule in enumerate(rules) if rule is None]
-    expect_in_words(not without, "keypoints", "a rule for every cloud or for none", f"none for the clouds {without}")
+def _selected(cloud: Clouds, near: Neighborhoods | None, given: Sequence[Keypoints]) -> Tensor:
+    """The points (P,) bool that the rule of every cloud selects."""
     support, alike = None, all(rule == given[0] for rule in given)
     if given[0].support is not None and near is not None:
         reads = [rule.support for rule in given if rule.support is not None]

@@ -36,6 +36,11 @@ class SiteSight:
         """Whether a node of the graph is a scan whose scanner's place is known."""
         return node < self._count and self.of(node) is not None
 
+    def are_cameras(self) -> bool:
+        """Whether there are scanners of known places, none of which sees all around."""
+        known = [panorama for panorama in map(self.of, range(self._count)) if panorama is not None]
+        return bool(known) and not any(panorama.is_around for panorama in known)
+
     def scanner(self, scan: int) -> Tensor:
         """The place (3,) of a scanner that is known, in the frame of the scan's file."""
         return self._panorama(scan).scanner

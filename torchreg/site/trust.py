@@ -41,7 +41,8 @@ def placed(
     if sight is None:
         return _doubted(candidates, count, tolerance, None)
     sight.forget()  # what follows depends on the candidates alone
-    _learn_neutral(sight, _doubted(candidates, count, tolerance, None))
+    if sight.are_cameras():
+        _learn_neutral(sight, _doubted(candidates, count, tolerance, None))
     trusted = _doubted(candidates, count, tolerance, sight)
     for _ in range(_SURVEYS):
         if not _learns_stations(sight, trusted):
@@ -74,12 +75,12 @@ def _learn_neutral(sight: SiteSight, trusted: Trusted) -> None:
     Depth cameras are moved by hand and drift in exposure and depth: their right poses look worse than those of
     scanners that stand still and see all around, for which nothing is learned.
     """
-    placement = trusted.placement
-    confirmed = (placement.used & (placement.loops > 0)).tolist()
-    links = [link for link, believed in zip(trusted.links, confirmed, strict=True) if believed]
-    scanners = {scan: sight.of(scan) for link in links for scan in (link.source, link.target)}
-    if trusted.doubt > 0 or any(panorama is None or panorama.is_around for panorama in scanners.values()):
+    if trusted.doubt > 0:
         return
+    placement = trusted.placement
+    confirmed = zip(trusted.links, (placement.used & (placement.loops > 0)).tolist(), strict=True)
+    links = [link for link, is_confirmed in confirmed if is_confirmed]
+    links = [link for link in links if sight.has(link.source) and sight.has(link.target)]
     learned = learned_neutral([sight.compared(link.source, link.target, link.T_target_source) for link in links])
     if learned is not None:
         sight.neutral = learned
